@@ -38,6 +38,8 @@ class Regime:
     ``first``, ``last``: of its tests.
     ``why``: ``start``, ``alarm`` or ``restart``: what began it.
     ``mean``, ``expanded``: of its values, half width that covers 95 %; NaN of a single one.
+    ``floor``: noise floor of tests: half width about level or line in which another test lies with 95 % while nothing
+        changes; NaN of fewer than three tests.
     ``slope``, ``slope_expanded``: per day; NaN of fewer than four tests, or of one day.
     ``ends``: values of that line at the first and the last test; NaN without a slope.
     ``trend``: whether a line, not a level, describes it, so that its change is the slope.
@@ -48,6 +50,7 @@ class Regime:
     why: str
     mean: float
     expanded: float
+    floor: float
     slope: float
     slope_expanded: float
     ends: tuple[float, float]
@@ -262,12 +265,15 @@ def _regime(days: Floats, values: Floats, first: int, stop: int, why: str, *, tr
     mine, n = values[first:stop], stop - first
     spread = float(mine.std(ddof=1)) if n > 1 else math.nan
     expanded = t_quantile(_COVERED, n - 1) * spread / math.sqrt(n) if n > 1 else math.nan
+    floor = expanded * math.sqrt(n + 1) if n > 2 else math.nan
     slope = half = low = high = math.nan
     if n >= _FEWEST and np.ptp(days[first:stop]) > 0.0:
         slope, level, middle, off, sxx = _line(days[first:stop], mine)
         half = t_quantile(_COVERED, n - 2) * off / math.sqrt(sxx)
+        if trend:
+            floor = t_quantile(_COVERED, n - 2) * off * math.sqrt(1 + 1 / n)
         low, high = (level + slope * (float(days[i]) - middle) for i in (first, stop - 1))
-    return Regime(first, stop - 1, why, float(mine.mean()), expanded, slope, half, (low, high), trend)
+    return Regime(first, stop - 1, why, float(mine.mean()), expanded, floor, slope, half, (low, high), trend)
 
 
 def _with_step(alarm: _Alarm, values: Floats, regimes: Sequence[Regime]) -> _Alarm:

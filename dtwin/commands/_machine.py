@@ -312,8 +312,18 @@ def _series_lines(series: Sequence[Mapping[str, Any]]) -> list[str]:
     """Return what changed, and the levels of the figures that did; of steady ones the number."""
     lines = [change["text"] for one in series for change in one["changes"]]
     shown = [one for one in series if one["state"] in ("changed", "trend") or one["crossing"]] or series[:4]
-    rows = [[one["name"], one["state"], f"{one['level']} {one['unit']}", one["since"], _ahead(one)] for one in shown]
-    lines += table(("figure", "state", "level", "since", "limit"), rows).splitlines()
+    rows = [
+        [
+            one["name"],
+            one["state"],
+            f"{one['level']} {one['unit']}",
+            f"{one['floor']} {one['unit']}" if one["floor"] else "not known",
+            one["since"],
+            _ahead(one),
+        ]
+        for one in shown
+    ]
+    lines += table(("figure", "state", "level", "noise floor", "since", "limit"), rows).splitlines()
     if len(series) > len(shown):
         lines.append(f"and {len(series) - len(shown)} more figures without a change (--json has all)")
     return lines

@@ -165,6 +165,7 @@ def _judged(series: Series, record: MachineRecord, run_length: float) -> dict[st
             "level": f"{level} ± {current.expanded:z.{decimals(current.expanded)}f}"
             if current.last > current.first
             else level,
+            "floor": f"± {current.floor:z.{decimals(current.floor)}f}" if math.isfinite(current.floor) else "",
             "since": points[current.first].started[:10],
             "changes": changes,
             "crossing": _told_crossing(ahead, limit, days),

@@ -11,43 +11,47 @@ from plotly.subplots import make_subplots
 
 from dtwin.report.plots import COLOURS, styled
 
-_BAND = "rgba(0,114,178,0.15)"
+_BAND, _FLOOR_BAND = "rgba(0,114,178,0.2)", "rgba(153,153,153,0.25)"
 
 
 def series_figure(series: Mapping[str, Any], events: Sequence[Mapping[str, Any]]) -> go.Figure:
-    """Return a figure over the days of its tests, with its levels between changes, and what happened on which day."""
+    """Return a figure over the days of its tests: levels between changes, the noise floor of tests about each, events, limits."""
     points, unit = series["points"], series["unit"]
     days = [p["started"] for p in points]
     alarms = set(series["chart"]["alarms"])
     figure = go.Figure()
     for regime in series["chart"]["regimes"]:
-        part = slice(regime["first"], regime["last"] + 1)
-        _add_level(figure, days[part], regime)
-    figure.add_trace(
-        go.Scatter(
-            x=days,
-            y=[p["value"] for p in points],
-            error_y={"type": "data", "array": [p["expanded"] or 0.0 for p in points], "width": 3},
-            mode="markers",
-            name=series["name"],
-            text=[f"{p['campaign']}{', alarm' if i in alarms else ''}" for i, p in enumerate(points)],
-            hovertemplate="%{text}<br>%{y:.3~r} " + unit + "<extra></extra>",
-            marker={
-                "color": [COLOURS["second" if i in alarms else "measured"] for i in range(len(points))],
-                "symbol": ["diamond" if i in alarms else "circle" for i in range(len(points))],
-                "size": 8,
-            },
-        )
-    )
+        _add_floor(figure, days, regime)
+    for regime in series["chart"]["regimes"]:
+        _add_level(figure, days, regime)
+    calm = [i for i in range(len(points)) if i not in alarms]
+    for name, colour, symbol, shown in (
+        ("test, with U (95 %)", "measured", "circle", calm),
+        ("test that raised an alarm", "second", "diamond", sorted(alarms)),
+    ):
+        if shown:
+            figure.add_trace(
+                go.Scatter(
+                    x=[days[i] for i in shown],
+                    y=[points[i]["value"] for i in shown],
+                    error_y={"type": "data", "array": [points[i]["expanded"] or 0.0 for i in shown], "width": 3},
+                    mode="markers",
+                    name=name,
+                    text=[points[i]["campaign"] for i in shown],
+                    hovertemplate="%{text}<br>%{y:.3~r} " + unit + "<extra></extra>",
+                    marker={"color": COLOURS[colour], "symbol": symbol, "size": 8},
+                )
+            )
     for limit in (series["low"], series["high"]):
         if limit is not None:
             line = {"color": COLOURS["second"], "dash": "dash", "width": 1}
-            figure.add_hline(y=limit, line=line, annotation_text=f"limit {limit:g}")
+            figure.add_hline(y=limit, line=line, annotation_text=f"limit {limit:g}", annotation_position="top left")
     for event in events:
         figure.add_vline(x=event["on"], line={"color": COLOURS["floor"], "dash": "dot", "width": 1})
         figure.add_annotation(x=event["on"], y=1.0, yref="paper", text=event["what"], showarrow=False, yanchor="bottom")
-    figure.update_layout(title=series["name"], yaxis_title=unit, showlegend=False)
-    return styled(_over_days(figure, days))
+    figure.update_layout(title=series["name"], yaxis_title=unit)
+    # Below, so that the names of events stay above.
+    return styled(_over_days(figure, days)).update_layout(legend={"y": -0.15, "yanchor": "top"})
 
 
 def chart_figure(series: Mapping[str, Any]) -> go.Figure:
@@ -82,18 +86,53 @@ def _over_days(figure: go.Figure, days: Sequence[str]) -> go.Figure:
     return figure
 
 
-def _add_level(figure: go.Figure, days: Sequence[str], regime: Mapping[str, Any]) -> None:
-    """Add the level of tests between two changes with the band that covers 95 %; of a trend, its line."""
-    look: dict[str, Any] = {"mode": "lines", "hoverinfo": "skip"}
-    if regime["trend"] and regime["slope"] is not None:
-        ends = [days[0], days[-1]]
-        figure.add_trace(go.Scatter(x=ends, y=regime["ends"], line={"color": COLOURS["third"], "width": 2}, **look))
+def _add_floor(figure: go.Figure, days: Sequence[str], regime: Mapping[str, Any]) -> None:
+    """Add the band in which another test lies with 95 % while nothing changes, where that is known."""
+    if (half := regime["floor"]) is None:
         return
-    mean, half = regime["mean"], regime["expanded"]
-    ends = [days[0], days[-1]]
-    if half is not None:
-        corners = [mean - half, mean - half, mean + half, mean + half]
-        figure.add_trace(
-            go.Scatter(x=[*ends, *ends[::-1]], y=corners, fill="toself", fillcolor=_BAND, line={"width": 0}, **look)
+    name = "noise floor: 95 % of tests while nothing changes"
+    low, high = regime["ends"] if regime["trend"] else (regime["mean"], regime["mean"])
+    _add_band(figure, days, regime, (low, high), half, name, _FLOOR_BAND)
+
+
+def _add_level(figure: go.Figure, days: Sequence[str], regime: Mapping[str, Any]) -> None:
+    """Add the level of tests between two changes with the band that covers 95 % of it; of a trend, its line."""
+    ends = [days[regime["first"]], days[regime["last"]]]
+    if regime["trend"] and regime["slope"] is not None:
+        name, heights, line = "trend", regime["ends"], {"color": COLOURS["third"], "width": 2}
+    else:
+        mean, half = regime["mean"], regime["expanded"]
+        name, heights, line = "level", [mean, mean], {"color": COLOURS["floor"], "width": 1.5}
+        if half is not None:
+            _add_band(figure, days, regime, (mean, mean), half, "95 % of the level", _BAND)
+    figure.add_trace(go.Scatter(x=ends, y=heights, mode="lines", line=line, hoverinfo="skip", **_once(figure, name)))
+
+
+def _add_band(
+    figure: go.Figure,
+    days: Sequence[str],
+    regime: Mapping[str, Any],
+    about: tuple[float, float],
+    half: float,
+    name: str,
+    colour: str,
+) -> None:
+    """Add a band of one height about a line from the first test of a regime to its last one."""
+    ends, (low, high) = [days[regime["first"]], days[regime["last"]]], about
+    figure.add_trace(
+        go.Scatter(
+            x=[*ends, *ends[::-1]],
+            y=[low - half, high - half, high + half, low + half],
+            mode="lines",
+            fill="toself",
+            fillcolor=colour,
+            line={"width": 0},
+            hoverinfo="skip",
+            **_once(figure, name),
         )
-    figure.add_trace(go.Scatter(x=ends, y=[mean, mean], line={"color": COLOURS["floor"], "width": 1.5}, **look))
+    )
+
+
+def _once(figure: go.Figure, name: str) -> dict[str, Any]:
+    """Return the name of a trace, which stands in the legend once for all of the same name."""
+    return {"name": name, "legendgroup": name, "showlegend": all(trace.name != name for trace in figure.data)}

@@ -7,7 +7,15 @@ import math
 import numpy as np
 import pytest
 
-from dtwin.control_chart import _cusum_run_length, _ewma_run_length, _limits_for, _self_starting, chart, crossing
+from dtwin.control_chart import (
+    _cusum_run_length,
+    _ewma_run_length,
+    _limits_for,
+    _regime,
+    _self_starting,
+    chart,
+    crossing,
+)
 
 DAYS = np.arange(24.0) * 30.0
 
@@ -87,3 +95,14 @@ def test_what_is_known_to_have_changed_is_no_alarm() -> None:
     values = np.random.default_rng(7).normal(5.0, 0.4, 24) + np.where(np.arange(24) >= 12, 6.0, 0.0)
     assert chart(DAYS, values, [12], 200.0).alarms == ()
     assert chart(DAYS, values, [], 200.0).alarms
+
+
+def test_another_test_lies_within_the_noise_floor_as_often_as_it_says() -> None:
+    rng = np.random.default_rng(3)
+    values = rng.normal(5.0, 0.3, (3000, 6))
+    for trend in (False, True):
+        regimes = [_regime(np.arange(5.0), row[:5], 0, 5, "start", trend=trend) for row in values]
+        # A line is extended from its middle here, where a further value would stand, too.
+        middles = np.array([np.mean(r.ends) if trend else r.mean for r in regimes])
+        inside = np.abs(values[:, 5] - middles) < [r.floor for r in regimes]
+        assert 0.935 < inside.mean() < 0.965

@@ -7,6 +7,8 @@ from typing import Any
 
 import pytest
 
+from dtwin.machine_record import MachineRecord
+from dtwin.pipeline.machine_series import Point, Series, judged_series
 from dtwin.report.history_plots import series_figure
 
 
@@ -31,3 +33,19 @@ def test_tests_of_one_day_stand_between_the_days_beside_it(days: list[str]) -> N
 
 def test_tests_of_several_days_take_the_room_they_need() -> None:
     assert series_figure(series(["2026-03-02T08:00:00", "2026-05-02T08:00:00"]), []).layout.xaxis.range is None
+
+
+def test_the_noise_floor_of_tests_is_drawn_about_each_level_and_named_once() -> None:
+    days = [f"2025-{month:02d}-10T08:00:00+00:00" for month in range(1, 13)]
+    values = [5.0, 5.2, 4.9, 5.1, 5.0, 4.8, 8.0, 8.1, 7.9, 8.0, 8.2, 8.1]
+    points = tuple(Point(f"t{i}", day, value, 0.1) for i, (day, value) in enumerate(zip(days, values, strict=True)))
+    (told,) = judged_series([Series("XY R50", "G(b)", "um", points)], MachineRecord("mill"))
+    figure = series_figure(told, [])
+    bands = [trace for trace in figure.data if str(trace.name).startswith("noise floor")]
+    assert [trace.showlegend for trace in bands] == [True, False]
+    regime = told["chart"]["regimes"][-1]
+    assert max(bands[-1].y) == pytest.approx(regime["mean"] + regime["floor"])
+    # One more test lies further off than the mean of all may.
+    assert regime["floor"] == pytest.approx(regime["expanded"] * 7**0.5)
+    assert told["floor"] == f"± {regime['floor']:.2f}"
+    assert "test that raised an alarm" in [trace.name for trace in figure.data]
