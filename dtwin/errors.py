@@ -31,6 +31,16 @@ def in_a_line(error: Exception) -> str:
     return next((line for line in lines if "(sqlite3." in line), lines[0])[:200]
 
 
+def _slipped(given: str, name: str) -> bool:
+    """Return whether a name of three letters was given with one wrong, or with two exchanged; other digits are another name."""
+    wrong = [i for i, (a, b) in enumerate(zip(given, name, strict=False)) if a != b]
+    if len(given) != len(name) or len(name) < 3 or not 1 <= len(wrong) <= 2:
+        return False
+    if len(wrong) == 1:
+        return not (given[wrong[0]].isdigit() and name[wrong[0]].isdigit())
+    return wrong[1] == wrong[0] + 1 and sorted(given) == sorted(name)
+
+
 class DtwinError(Exception):
     """A problem that the user can understand and mend.
 
@@ -63,8 +73,9 @@ class DtwinError(Exception):
     @property
     def meant(self) -> str | None:
         """The allowed name that is most like what was given; None when none is."""
-        close = get_close_matches(self.got or "", self._names(), n=1, cutoff=0.7)
-        return close[0] if close and close[0] not in (self.got or "").split(", ") else None
+        got, names = self.got or "", self._names()
+        close = get_close_matches(got, names, n=1, cutoff=0.7) or [name for name in names if _slipped(got, name)][:1]
+        return close[0] if close and close[0] not in got.split(", ") else None
 
     def _names(self) -> list[str]:
         """Return the allowed names; a sentence about what is allowed is no list of names."""

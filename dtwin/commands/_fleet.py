@@ -146,7 +146,7 @@ def sister_machines(
             allowed="--type TYPE, or --machine several times",
             got=type or "neither",
         )
-    sizes = sisters(home(), machine or (), type, ProgressLine("machines", quiet=as_json))
+    sizes = sisters(home(), _known(machine) or (), type, ProgressLine("machines", quiet=as_json))
 
     def text() -> str:
         rows = [

@@ -269,10 +269,24 @@ def report(
 
 
 def machine_named(registry: Registry, named: str | None) -> str:
-    """Return the machine that was named, or the only one that has a model."""
+    """Return the machine that was named, or the only one that has a model.
+
+    Raises ``InputError`` for one without a model.
+    """
+    from dtwin.serve.pointer import machine_folder
+
     known = registry.machines()
-    if named is not None:
+    # What is served is taken back also where the registry has lost it.
+    if named is not None and (named in known or machine_folder(named, home()).is_dir()):
         return named
+    if named is not None and known:
+        raise InputError(
+            "no model of this machine is registered yet",
+            code="models.machine",
+            got=named,
+            allowed=", ".join(known),
+            hint="dtwin train CAMPAIGN",
+        )
     if len(known) == 1:
         return known[0]
     raise InputError(

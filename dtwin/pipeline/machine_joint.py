@@ -17,6 +17,7 @@ from dtwin.physics.effect import Effect
 from dtwin.physics.joint import MachineTest, joint
 from dtwin.physics.library import Library
 from dtwin.pipeline.kept import kept, kept_already, stamp_of
+from dtwin.pipeline.machine_history import require_machine
 from dtwin.progress import Progress
 from dtwin.report.joint import joint_lines
 from dtwin.twins.measured import load
@@ -34,7 +35,7 @@ def machine_joint(
     """Return what tests of a machine find, each from nothing and all together, JSON-ready.
 
     ``campaigns``: which; without them the newest one of each kind with the same planes or axes.
-    Raises ``InputError`` when fewer than two tests can be compared, or one is of another machine.
+    Raises ``InputError`` when there is no such machine, fewer than two tests can be compared, or one is of another machine.
     """
     lake, names = Lake(home.lake), [in_lake(home, name) for name in campaigns]
     for name in names:
@@ -43,17 +44,18 @@ def machine_joint(
     chosen = (
         _stated(rows, machine, names) if names else newest_tests(lake.runs(left_out=True, machine=machine), machine)
     )
-    _require_two(machine, list(chosen))
+    _require_two(home, machine, list(chosen))
     made = compared(home, machine, chosen, Library() if library is None else library, progress)
     for name in made["passed_over"] if names else ():
         # It says why.
         load(home, name)
-    _require_two(machine, [test["campaign"] for test in made["tests"]])
+    _require_two(home, machine, [test["campaign"] for test in made["tests"]])
     return made
 
 
-def _require_two(machine: str, campaigns: Sequence[str]) -> None:
+def _require_two(home: Home, machine: str, campaigns: Sequence[str]) -> None:
     if len(campaigns) < 2:
+        require_machine(home, machine)
         raise InputError(
             "there are not two tests to compare",
             code="machine.tests",

@@ -96,11 +96,17 @@ class TwinShelf:
         Raises ``StoreError`` when its file is damaged.
         """
         folder = self.folder(name)
-        paths = version_paths(folder)
-        if version is not None:
-            paths = [p for p in paths if p.stem == version_name(version)]
+        there = version_paths(folder)
+        paths = there if version is None else [p for p in there if p.stem == version_name(version)]
         if not paths:
-            raise InputError("no such version of the twin", code="twin.version", where=f"twin {name}", got=str(version))
+            raise InputError(
+                "no such version of the twin",
+                code="twin.version",
+                where=f"twin {name}",
+                got=str(version),
+                allowed=", ".join(str(version_number(path)) for path in there),
+                hint=f"dtwin twin history {name}",
+            )
         document = read_document(paths[-1])
         self._require_ours(name, document)
         return document, paths[-1]

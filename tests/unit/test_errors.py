@@ -15,6 +15,15 @@ def test_a_slip_is_answered_with_the_name_that_was_meant() -> None:
 
 
 def test_nothing_is_guessed_where_no_name_is_near_or_no_names_are_listed() -> None:
+    # Of three letters one is much: two exchanged, or one wrong; another number is another name.
+    names = "bar, laser, t07"
+    assert [InputError("no", got=got, allowed=names).meant for got in ("bra", "bsr", "t70", "t77", "rab")] == [
+        "bar",
+        "bar",
+        "t07",
+        None,
+        None,
+    ]
     assert InputError("no such effect", got="flux", allowed="backlash, squareness").meant is None
     assert InputError("not a number", got="abov 0", allowed="above 0").meant is None
     assert InputError("too many", got="5001", allowed="5000").meant is None
