@@ -57,7 +57,7 @@ def show_effect(
 ) -> None:
     """Show what an effect is, what it is confused with, and what to do about it."""
     from dtwin.kinds.volumetric.twin_report import family_dict, family_named, family_text
-    from dtwin.report.twins import effect_text
+    from dtwin.report.text import effect_text
     from dtwin.twins.verbs import Twins
 
     family = family_named(name)

@@ -49,7 +49,7 @@ def _german_of(text: str, tell: Callable[[object], str]) -> str | None:
         named, colon, rest = part.partition(": ")
         if colon and (said := clause(rest)) is not None:
             # A number is the size of what is known by name.
-            who = _titled(named) or clause(named) or (None if _SIZE.fullmatch(rest) else _name(named, tell))
+            who = _titled(named) or clause(named) or (None if _sized(rest, tell) else _name(named, tell))
             return None if who is None else f"{who}: {said}"
         every = [clause(one) for one in part.split(", ")] if ", " in part else [None]
         return _sized(part, tell) if None in every else ", ".join(map(str, every))
@@ -177,4 +177,8 @@ class Language:
 
     def drawn(self, text: str) -> str:
         """Return what stands in a picture about a twin."""
-        return (_titled(text) or self.spoken(text)[0]) if self._words else text
+        if not self._words:
+            return text
+        head, comma, campaign = text.rpartition(", ")
+        title = _titled(text) or (f"{one}, {campaign}" if comma and (one := _titled(head)) else None)
+        return title or self.read(text)[0]

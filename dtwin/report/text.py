@@ -5,8 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from itertools import zip_longest
+from typing import TYPE_CHECKING
 
-from dtwin.units import shown_number
+from dtwin.units import shown_number, shown_unit
+
+if TYPE_CHECKING:
+    from dtwin.physics.effect import Effect
 
 _NANOMETRES = 0.1
 _LISTED = 3
@@ -67,6 +71,35 @@ def _cell(value: object) -> str:
         return shown_number(value, 4) if abs(value) < 1e5 else f"{value:z.3e}"
     # A line end in what somebody wrote would make lines of the table that say something else.
     return " ".join(str(value).splitlines())
+
+
+def effect_text(effect: Effect) -> str:
+    """Return what an effect is, for the terminal."""
+    law = effect.law
+    exponents = [
+        f"feed^{law.feed:g}" if law.feed is not None else "feed: no power law",
+        f"radius^{law.radius:g}" if law.radius is not None else "radius: no power law",
+        f"{law.direction} in direction",
+    ]
+    parameters = ", ".join(f"{p.name} ({shown_unit(p.unit)})" for p in effect.parameters)
+    shapes = ", ".join(f"{s.name} ({shown_unit(s.unit)})" for s in effect.shapes)
+    lines = [
+        f"{effect.name}: {effect.title}",
+        effect.meaning,
+        f"looks like: {effect.looks_like}",
+        f"formula: {effect.formula}",
+        f"scaling: {', '.join(exponents)}",
+        f"parameters: {parameters}" + (f"; shape: {shapes}" if shapes else ""),
+        f"one for each: {effect.per.replace('_', ' ')}",
+        f"needs: {', '.join(effect.needs)}" if effect.needs else "",
+        f"confused with: {', '.join(effect.confusables)}" if effect.confusables else "",
+        f"told apart by: {effect.separate_by}",
+        f"remedy: {effect.remedy}",
+        f"correction: {effect.correctable or 'cannot be corrected by offsets of position'}",
+        f"reference: {effect.reference}",
+        f"from: {effect.source}" if effect.source != "dtwin" else "",
+    ]
+    return "\n".join(line for line in lines if line)
 
 
 def words_of(name: str) -> str:

@@ -235,6 +235,9 @@ def ranked_figure(diagnosis: Mapping[str, Any], library: Mapping[str, Effect] | 
     library = Library() if library is None else library
     rows = list(reversed(diagnosis["candidates"]))
     names = [title_of(c.get("label", f"{c['effect']} {c['axis']}".strip()), library) for c in rows]
+    several = {one["campaign"]: one for one in diagnosis.get("campaigns", ())}
+    if several:
+        names = [f"{name}, {c['campaign']}" for name, c in zip(names, rows, strict=True)]
     figure = go.Figure(
         go.Bar(
             x=[c["rms_after_um"] for c in rows],
@@ -245,8 +248,20 @@ def ranked_figure(diagnosis: Mapping[str, Any], library: Mapping[str, Effect] | 
             name="after adding",
         )
     )
-    figure.add_vline(x=diagnosis["residual_rms_um"], line={"color": COLOURS["second"]}, annotation_text="now")
     floor = diagnosis["noise_floor_um"]
+    if several:
+        # Each campaign has a residual and a noise floor of its own.
+        for name, field, colour in (("now", "residual_rms_um", "second"), ("noise floor", "noise_floor_um", "floor")):
+            figure.add_scatter(
+                x=[several[c["campaign"]][field] if c["campaign"] in several else None for c in rows],
+                y=names,
+                mode="markers",
+                name=f"{name}, of that campaign",
+                marker={"symbol": "line-ns", "size": 18, "line": {"color": COLOURS[colour], "width": 2}},
+            )
+        floor = None
+    else:
+        figure.add_vline(x=diagnosis["residual_rms_um"], line={"color": COLOURS["second"]}, annotation_text="now")
     if floor is not None and np.isfinite(floor):
         figure.add_vline(
             x=floor,
@@ -261,7 +276,8 @@ def ranked_figure(diagnosis: Mapping[str, Any], library: Mapping[str, Effect] | 
         # The names of the lines stand above the bars.
         yaxis_range=[-0.6, len(rows) + 0.2],
     )
-    return styled(figure)
+    # The legend, which only several campaigns have, has room below.
+    return styled(figure).update_layout(legend={"y": -0.12, "yanchor": "top"})
 
 
 def _unit(grid: Grid) -> str:

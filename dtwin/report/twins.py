@@ -10,7 +10,6 @@ import numpy as np
 import plotly.graph_objects as go
 
 from dtwin.physics import localise
-from dtwin.physics.effect import Effect
 from dtwin.physics.gridding import CIRCLE
 from dtwin.physics.observations import Observations
 from dtwin.physics.twin import Twin, data_lines
@@ -162,10 +161,21 @@ def diagnosis_text(name: str, result: Mapping[str, Any]) -> str:
         f"{number(result['noise_floor_um'])} µm; lack of fit p = {number(result['lack_of_fit_p'], 2)}",
     ]
     if result["candidates"]:
-        head = ("effect", "after, µm", "left-out gain", "p", "grade", "in group")
+        # Of several campaigns each stands beside what is left of the one where it was found.
+        left = left_of(result)
+        head = (
+            "effect",
+            *(("campaign", "now, µm") if left else ()),
+            "after, µm",
+            "left-out gain",
+            "p",
+            "grade",
+            "in group",
+        )
         rows = [
             (
                 f"{c['effect']} {c['axis']}".strip(),
+                *((c["campaign"], micrometres(left.get(c["campaign"]))) if left else ()),
                 micrometres(c["rms_after_um"]),
                 f"{100 * c['cv_gain']:z.1f} %",
                 number(c["p_value"], 2),
@@ -199,6 +209,11 @@ def diagnosis_text(name: str, result: Mapping[str, Any]) -> str:
         lines.append(f"next: {result['next_experiment']['text']}")
     lines.append(_advice(name, result))
     return "\n".join(lines)
+
+
+def left_of(diagnosis: Mapping[str, Any]) -> dict[str, float]:
+    """Return the residual of each campaign, um, where a diagnosis is of several."""
+    return {one["campaign"]: one["residual_rms_um"] for one in diagnosis.get("campaigns", ())}
 
 
 def _size_words(estimate: Mapping[str, Any]) -> str:
@@ -266,35 +281,6 @@ def history_text(rungs: Sequence[Mapping[str, Any]]) -> str:
 
 def _first_of(groups: Sequence[Sequence[str]]) -> str:
     return listed([listed(group, " or ") for group in groups], "; ")
-
-
-def effect_text(effect: Effect) -> str:
-    """Return what an effect is, for the terminal."""
-    law = effect.law
-    exponents = [
-        f"feed^{law.feed:g}" if law.feed is not None else "feed: no power law",
-        f"radius^{law.radius:g}" if law.radius is not None else "radius: no power law",
-        f"{law.direction} in direction",
-    ]
-    parameters = ", ".join(f"{p.name} ({shown_unit(p.unit)})" for p in effect.parameters)
-    shapes = ", ".join(f"{s.name} ({shown_unit(s.unit)})" for s in effect.shapes)
-    lines = [
-        f"{effect.name}: {effect.title}",
-        effect.meaning,
-        f"looks like: {effect.looks_like}",
-        f"formula: {effect.formula}",
-        f"scaling: {', '.join(exponents)}",
-        f"parameters: {parameters}" + (f"; shape: {shapes}" if shapes else ""),
-        f"one for each: {effect.per.replace('_', ' ')}",
-        f"needs: {', '.join(effect.needs)}" if effect.needs else "",
-        f"confused with: {', '.join(effect.confusables)}" if effect.confusables else "",
-        f"told apart by: {effect.separate_by}",
-        f"remedy: {effect.remedy}",
-        f"correction: {effect.correctable or 'cannot be corrected by offsets of position'}",
-        f"reference: {effect.reference}",
-        f"from: {effect.source}" if effect.source != "dtwin" else "",
-    ]
-    return "\n".join(line for line in lines if line)
 
 
 def comparison_sections(comparison: Comparison, result: Mapping[str, Any]) -> list[Section]:
@@ -375,7 +361,8 @@ def place_words(place: Mapping[str, Any]) -> str:
     name = next(n for n in _COORDINATES if n in place)
     low, high = place[name]
     unit = name.rpartition("_")[2]
-    return f"{condition_words(place)}, {low:g} to {high:g} {unit}: {micrometres(place['residual_rms_um'])} µm"
+    of = f"{place['campaign']}, " if "campaign" in place else ""
+    return f"{of}{condition_words(place)}, {low:g} to {high:g} {unit}: {micrometres(place['residual_rms_um'])} µm"
 
 
 def _advice(name: str, result: Mapping[str, Any]) -> str:

@@ -30,7 +30,7 @@ from dtwin.report.twin_plots import (
     residual_map,
     waterfall_figure,
 )
-from dtwin.report.twins import found_table, parameter_table
+from dtwin.report.twins import found_table, left_of, parameter_table
 from dtwin.twins.registration import waiting, waiting_text
 from dtwin.twins.seen import able_to
 from dtwin.twins.verbs import Twins
@@ -111,6 +111,8 @@ def diagnose_page(request: Request, bench: Here, name: str) -> Response:
         diagnosis=diagnosis,
         grids=grids_of(experiment) if planned else [],
         found=found_table(diagnosis or {}),
+        left=left_of(diagnosis or {}),
+        reported={f"{c['effect']} {c['axis']}".strip() for group in (diagnosis or {}).get("found", ()) for c in group},
         faults=faults(twin, diagnosis, bench.library),
         missing=found_faults(diagnosis or {}, bench.library),
         not_told=not_told(diagnosis or {}, bench.library),
@@ -287,7 +289,8 @@ def signature(bench: Here, name: str, effect: str, condition: _Numbers = []) -> 
     chosen = reading.chosen_conditions(view, condition)[0]
     named = title_of(effect, bench.library)
     curves = {"residual": view.residual_um[chosen], f"predicted: {named}": taken[chosen]}
-    title = f"What {named} would take away, {view.labels[chosen]}"
+    of = f"{view.obs.campaign.name}, " if labelled.get(effect) else ""
+    title = f"What {named} would take away, {of}{view.labels[chosen]}"
     floor_um = reading.floor_of(bench, view).um
     return drawn(along_figure(curves, title=title, floor_um=floor_um, grid=view.obs.grid))
 

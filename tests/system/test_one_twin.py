@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 from pathlib import Path
 
@@ -18,7 +19,7 @@ from dtwin.errors import InputError
 from dtwin.lake.store import Lake
 from dtwin.machines.mill_parameters import MillParameters
 from dtwin.report.several import diagnosis_text
-from dtwin.report.text import listed
+from dtwin.report.text import listed, micrometres
 from dtwin.twins.several import require_together
 from dtwin.twins.verbs import Twins
 from dtwin.workbench._access import Access
@@ -69,6 +70,12 @@ def test_what_one_test_leaves_open_is_named_by_one_twin(home: Home, monkeypatch:
         assert said("twin", "diagnose", "all") == told
         text = printed("twin", "diagnose", "all")
     assert "settled: bar could not tell" in text
+    # Each row says of which campaign it is, beside what is left of that one.
+    rows = [re.split(" {2,}", line) for line in text.splitlines()]
+    left = {c["campaign"]: micrometres(c["residual_rms_um"]) for c in told["campaigns"]}
+    ranked = [row for row in rows if len(row) > 5 and row[1] in ALL]
+    assert [row[0] for row in ranked] == [f"{c['effect']} {c['axis']}".rstrip() for c in told["candidates"]]
+    assert all(row[2] == left[row[1]] for row in ranked)
     assert "Several effects would explain it" in text
     assert "unless the machine changed" not in text
     told["settled"][0]["judged"][0]["said"] = "is a part"
