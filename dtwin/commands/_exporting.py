@@ -11,7 +11,7 @@ from dtwin.commands._effects import Paths
 from dtwin.commands._output import Json, emit
 from dtwin.config import home
 from dtwin.errors import InputError
-from dtwin.units import shown_number
+from dtwin.units import shown_number, shown_unit
 
 app = typer.Typer()
 _Force = Annotated[bool, typer.Option("--force", help="Replace the file.")]
@@ -89,7 +89,7 @@ def export(
 
     def text() -> str:
         lines = [f"{out} written: {name} (version {version}, {state}) as {form}"]
-        lines += [f"  {name}: {_shown(value)}" for name, value in made.figures.items()]
+        lines += [f"  {_shown({name: value})}" for name, value in made.figures.items()]
         lines += [f"  left out, {label}: {why}" for label, why in made.left_out.items()]
         return "\n".join([*lines, *(f"  note: {note}" for note in made.notes)])
 
@@ -113,9 +113,20 @@ def _require_new(out: Path, source: Path | None = None, *, force: bool) -> None:
 
 
 def _shown(value: object) -> str:
+    """Return figures for people, with their units behind them; what rounding leaves of a zero is zero."""
     if isinstance(value, dict):
-        return "; ".join(f"{k}: {_shown(v)}" for k, v in value.items())
-    return shown_number(value) if isinstance(value, float) else str(value)
+        return "; ".join(f"{_named(k)}{':' * isinstance(v, dict)} {_shown(v)}{_unit_of(k)}" for k, v in value.items())
+    if isinstance(value, list):
+        return " to ".join(map(_shown, value))
+    return shown_number(round(value, 9) + 0.0) if isinstance(value, float) else str(value)
+
+
+def _named(key: str) -> str:
+    return key.removesuffix("_um").removesuffix("_mm").removesuffix("_rad").replace("_", " ")
+
+
+def _unit_of(key: str) -> str:
+    return next((f" {shown_unit(unit)}" for unit in ("um", "mm", "rad") if key.endswith(f"_{unit}")), "")
 
 
 def numbers(text: str, count: int, option: str) -> list[float]:

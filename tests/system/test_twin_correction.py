@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from shown_commands import blocks, follow, here, page
 from typer.testing import CliRunner
 
 from dtwin.acquire.virtual_mill import _geometry_of_mill, virtual_mill
@@ -18,6 +19,7 @@ from dtwin.config import Home
 from dtwin.errors import DtwinError
 from dtwin.kinds.circular._mill_evidence import measured_mill
 from dtwin.kinds.circular.freeze import wrong_way
+from dtwin.lifecycle.export import _EQUATIONS, _TABLES
 from dtwin.plan import EvidencePlan
 from dtwin.report.correction import correction_text
 from dtwin.serve.bundle import Bundle
@@ -139,6 +141,16 @@ def test_an_effect_that_is_not_needed_is_refused_with_what_to_do(told: Any, monk
     assert code == 3
     assert "straightness Y: not needed" in output
     assert "dtwin twin remove wide straightness --axis Y" in output
+
+
+def test_the_page_of_controls_is_followed(told: Any) -> None:
+    home, _ = told
+    shown = blocks(page("docs/how-to/controls.md"))
+    follow(shown, home.parent, here)
+    forms = {form for block in shown for line in block.lines for form in re.findall(r"--as (\S+)", line)}
+    # Of every form of a control the page has a command, or says which.
+    assert forms | {"fanuc", "gcode", *_EQUATIONS} >= set(_TABLES)
+    assert all(f"`{form}`" in page("docs/how-to/controls.md") for form in (*_TABLES, "st"))
 
 
 PROGRAM = "G21 G90 G17\nG0 X60 Y0\nG1 X50 Y0 F1500\nG3 X50 Y0 I-50 J0\nM30\n"
