@@ -7,13 +7,21 @@ from pathlib import Path
 from typing import Any
 
 from prefect import flow
+from prefect.runtime import flow_run
 
 from dtwin.acquire.ingest import IngestReport, worst
 from flows import _artifacts, _tasks
 from flows._paths import confined
 
+_LONGEST_NAME = 80
 
-@flow(name="ingest")
+
+def _run_name() -> str:
+    """Return what a run of the flow is called."""
+    return f"ingest {', '.join(Path(source).name for source in flow_run.parameters.get('sources', ()))}"[:_LONGEST_NAME]
+
+
+@flow(name="ingest", flow_run_name=_run_name)
 def ingest_flow(sources: list[Path]) -> dict[str, Any]:
     """Ingest campaign folders and ball-bar files, one task each; safe to repeat.
 

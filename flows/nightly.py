@@ -13,7 +13,7 @@ from flows import _artifacts, _tasks
 from flows._paths import confined
 
 
-@flow(name="nightly")
+@flow(name="nightly", flow_run_name="nightly")
 def nightly_flow(folder: Path | None = None, seed: int = 0) -> dict[str, Any]:
     """Take in what arrived, diagnose what is new, check champions, and tell what is late, failed or changed.
 

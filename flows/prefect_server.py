@@ -24,7 +24,7 @@ from flows.own_pages import ENTER, HOST, asks_from_elsewhere, refuse
 _ENTER_PAGE = (
     '<!doctype html><html lang="en"><meta charset="utf-8"><title>Prefect</title><script>'
     "if (location.hash.length > 1) localStorage.setItem('prefect-password', location.hash.slice(1));"
-    "location.replace('/dashboard');</script>"
+    "location.replace('/deployments');</script>"
 )
 
 

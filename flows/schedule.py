@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from inspect import cleandoc
 from typing import Any
 
-from prefect import flow
+from prefect import Flow, flow
 from prefect.client.schemas.objects import State
 from prefect.deployments.runner import RunnerDeployment
 from prefect.states import Completed
@@ -25,7 +26,7 @@ from flows.train import publish_training, train_flow
 _AT_NIGHT = "0 2 * * *"
 
 
-@flow(name="scheduled-training")
+@flow(name="scheduled-training", flow_run_name="scheduled-training")
 def scheduled_training_flow(seed: int = 1) -> dict[str, Any] | State[dict[str, Any]]:
     """Train when the lake has new runs, compare with the champion, promote nothing.
 
@@ -54,51 +55,33 @@ def scheduled_training_flow(seed: int = 1) -> dict[str, Any] | State[dict[str, A
 
 
 def deployments(cron: str | None) -> list[RunnerDeployment]:
-    """Return every flow as a deployment; scheduled training, recheck and the night with their times.
+    """Return every flow as a deployment, with a tag by which the page filters; some have their times.
 
     Args:
         cron: When to train and to check champions; the night is at two. None for only when somebody starts them.
     """
-    scheduled = RunnerDeployment.from_flow(
-        scheduled_training_flow,
-        scheduled_training_flow.name,
-        cron=cron,
-        description="New data -> candidate, compared with the champion. Never promotes.",
-        entrypoint_type=EntrypointType.MODULE_PATH,
-    )
-    checked = RunnerDeployment.from_flow(
-        recheck_flow,
-        recheck_flow.name,
-        cron=cron,
-        description="Circles with and without each champion; one that harms is withdrawn.",
-        entrypoint_type=EntrypointType.MODULE_PATH,
-    )
-    night = RunnerDeployment.from_flow(
-        nightly_flow,
-        nightly_flow.name,
-        cron=_AT_NIGHT if cron else None,
-        description="Diagnoses what is new, checks champions, lists what is late, failed or changed.",
-        entrypoint_type=EntrypointType.MODULE_PATH,
-    )
-    others = (
-        campaign_flow,
-        simulate_flow,
-        ingest_flow,
-        train_flow,
-        promote_flow,
-        diagnose_flow,
-        cell_flow,
-        *paper_flows,
-    )
+    times = {scheduled_training_flow: cron, recheck_flow: cron, nightly_flow: _AT_NIGHT if cron else None}
     return [
-        scheduled,
-        checked,
-        night,
-        *(
-            RunnerDeployment.from_flow(known, known.name, entrypoint_type=EntrypointType.MODULE_PATH)
-            for known in others
-        ),
+        RunnerDeployment.from_flow(
+            known,
+            known.name,
+            cron=times.get(known),
+            # The page describes parameters beside their fields.
+            description=cleandoc(known.__doc__ or "").partition("\n\nArgs:")[0],
+            tags=[tag],
+            entrypoint_type=EntrypointType.MODULE_PATH,
+        )
+        for tag, some in _FLOWS.items()
+        for known in some
     ]
+
+
+_FLOWS: dict[str, tuple[Flow[..., Any], ...]] = {
+    "measure": (campaign_flow, simulate_flow, ingest_flow, cell_flow),
+    "learn": (train_flow, scheduled_training_flow, promote_flow),
+    "watch": (diagnose_flow, recheck_flow, nightly_flow),
+    "papers": paper_flows,
+}
 
 
 def _publish_comparison(result: dict[str, Any]) -> None:

@@ -22,7 +22,7 @@ from flows._paths import confined
 from flows.ingest import publish_ingest
 
 
-@flow(name="simulate")
+@flow(name="simulate", flow_run_name="simulate {machine}")
 def simulate_flow(
     plan_file: Path | None = None,
     quick: bool = False,

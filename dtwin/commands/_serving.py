@@ -13,7 +13,7 @@ import typer
 from dtwin.commands._output import Json, emit
 from dtwin.config import home
 from dtwin.errors import EXIT_DONE, EXIT_INTERRUPTED, DtwinError, InputError
-from dtwin.report.text import table
+from dtwin.report.text import classes, table
 from dtwin.units import shown_number
 
 if TYPE_CHECKING:
@@ -189,10 +189,10 @@ def _percentiles(title: str, rows: Mapping[str, Mapping[str, float] | None]) -> 
 
 def _bars(histogram: Mapping[str, int]) -> list[str]:
     most = max([*histogram.values(), 1])
-    filled = [label for label, count in histogram.items() if count]
     return [
-        f"  {label:>8}  {'#' * -(-_BAR_WIDTH * histogram[label] // most):<{_BAR_WIDTH}}  {histogram[label]}"
-        for label in filled
+        f"  {label:>16}  {'#' * -(-_BAR_WIDTH * count // most):<{_BAR_WIDTH}}  {count}"
+        for label, count in zip(classes(histogram), histogram.values(), strict=True)
+        if count
     ]
 
 

@@ -79,7 +79,11 @@ def registered(home: Home, training: Training, progress: StageProgress | None = 
         },
     )
     _, verdicts = check_version(registry, version)
-    registry.mark(version, {}, description=_description(training, verdicts))
+    description = _description(training, verdicts)
+    registry.mark(version, {}, description=description)
+    registry.note(
+        ids[""], f"{description}\n\nThe candidates are the runs below this one; pictures are in its artifacts."
+    )
     if progress is not None:
         progress("log and register", 1, 1, f"version {version.version}")
     return Registered(training, registry.version(report.machine, version.version), verdicts)
@@ -102,11 +106,12 @@ def _description(training: Training, verdicts: list[Verdict]) -> str:
     proposed = report.candidate(report.proposed)
     held_out = proposed.held_out
     digits = 1 if held_out.rms_um >= 1.0 else 3
+    tables = ", ".join(f"{name} {version}" for name, version in report.table_versions.items() if version >= 0)
     lines = [
-        f"**{proposed.name}** for {report.machine}, trained on `{report.campaign}` "
-        f"({report.n_runs} runs, table versions {dict(report.table_versions)}).",
+        f"The candidate {proposed.name} for {report.machine}, trained on `{report.campaign}` "
+        f"({report.n_runs} runs{f'; versions of the tables: {tables}' if tables else ''}).",
         "",
-        f"Held-out by {held_out.group}: {report.rms_before_um:z.1f} -> {held_out.rms_um:z.{digits}f} µm "
+        f"Left out by {held_out.group}: {report.rms_before_um:z.1f} → {held_out.rms_um:z.{digits}f} µm "
         f"RMS (R² {held_out.r2:z.3f}); noise floor {report.noise_floor_text}.",
         "",
         *(f"- {line}" for line in report.told),

@@ -15,7 +15,7 @@ from dtwin.report.html import Section, Table
 from dtwin.report.model_plots import comparison_figure, evidence_figure, front_figure
 from dtwin.report.plots import error_figure, magnification_for, polar_figure
 from dtwin.report.sheet import overview
-from dtwin.report.text import circle_figure
+from dtwin.report.text import circle_figure, decimals
 from dtwin.schema import Floats, Run
 from dtwin.train.results import Candidate, TrainingReport, condition_name, r2_text, without_correction
 
@@ -220,8 +220,8 @@ def evidence_table(evidence: Mapping[str, Any]) -> tuple[list[str], list[list[st
             [
                 condition_name(c),
                 {True: "yes", False: "no"}.get(c["trained"], "-"),
-                f"{_um(c['before_um'])} ± {_um(c['before_ci_um'])}",
-                f"{_um(c['after_um'])} ± {_um(c['after_ci_um'])}",
+                _with_ci(c["before_um"], c["before_ci_um"]),
+                _with_ci(c["after_um"], c["after_ci_um"]),
                 f"{100 * c['reduction']:z.0f} %",
                 "-" if c["oracle_um"] is None else _um(c["oracle_um"]),
                 _um(c["floor_um"]),
@@ -231,6 +231,12 @@ def evidence_table(evidence: Mapping[str, Any]) -> tuple[list[str], list[list[st
             ]
         )
     return head, rows
+
+
+def _with_ci(value: float, half: float) -> str:
+    """Return an error with its interval, to two digits of that."""
+    digits = decimals(half)
+    return f"{value:z.{digits}f} ± {half:z.{digits}f}"
 
 
 def _um(value: float) -> str:

@@ -12,6 +12,7 @@ import numpy as np
 import plotly.graph_objects as go
 
 from dtwin.report.plots import COLOURS, draw_line, styled
+from dtwin.report.text import classes
 from dtwin.statistics import deviation_interval
 from dtwin.train.results import condition_name
 
@@ -157,10 +158,10 @@ def _range_of(values: Sequence[float]) -> dict[str, str]:
 def jitter_figure(histogram: Mapping[str, int]) -> go.Figure:
     """Return how far the periods of a serving session were off: ticks by jitter in us, of ``LoopTiming.summary``."""
     top = float(np.ceil(np.log10(max([*histogram.values(), 10]))))
-    figure = go.Figure(go.Bar(x=list(histogram), y=list(histogram.values()), marker_color=COLOURS["measured"]))
+    figure = go.Figure(go.Bar(x=classes(histogram), y=list(histogram.values()), marker_color=COLOURS["measured"]))
     figure.update_layout(
         title="Jitter of the period",
-        xaxis_title="distance from the nominal period, µs",
+        xaxis={"title": "distance from the nominal period, µs", "type": "category"},
         yaxis={"title": "ticks (logarithmic)", "type": "log", "dtick": 1, "range": [-0.3, top]},
     )
     return styled(figure)

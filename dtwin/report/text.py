@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from itertools import zip_longest
+from collections.abc import Mapping, Sequence
+from itertools import pairwise, zip_longest
 from typing import TYPE_CHECKING
 
 from dtwin.units import shown_number, shown_unit
@@ -110,6 +110,13 @@ def words_of(name: str) -> str:
 def counted(number: int, what: str) -> str:
     """Return how many there are: ``1 run``, ``2 runs``."""
     return f"{number} {what}{'' if number == 1 else 's'}"
+
+
+def classes(histogram: Mapping[str, int]) -> list[str]:
+    """Return the classes of a histogram as people read them; its names are ``<10``, ``<20`` … and ``>=20`` for the rest."""
+    below = [0, *(int(name.removeprefix("<")) for name in histogram if name.startswith("<"))]
+    told = [f"{low:,} to {high:,}".replace(",", " ") for low, high in pairwise(below)]
+    return [*told, *(f"over {int(name[2:]):,}".replace(",", " ") for name in histogram if name.startswith(">="))]
 
 
 def micrometres(value: float | None) -> str:

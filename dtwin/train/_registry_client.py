@@ -5,11 +5,14 @@ from __future__ import annotations
 import logging
 import os
 import sqlite3
+from collections.abc import Callable
 from contextlib import closing, nullcontext
 from pathlib import Path
+from typing import TypeVar
 
 from mlflow import MlflowClient
 from mlflow.exceptions import MlflowException
+from mlflow.store.entities import PagedList
 from mlflow.utils.credentials import get_default_host_creds
 from mlflow.utils.rest_utils import http_request
 from sqlalchemy import create_engine
@@ -23,6 +26,7 @@ from dtwin.locks import locked
 _CONNECT_S = 10
 # A server that is under load answers late.
 _ANSWER_S = 30
+_Found = TypeVar("_Found")
 
 
 def client_of(home: Home) -> MlflowClient:
@@ -150,3 +154,13 @@ def _require_server(uri: str) -> None:
             got=got[:200],
             hint="its address (MLFLOW_TRACKING_URI, or registry in `home.toml`), and whether it runs; run this again when it is back",
         )
+
+
+def every(search: Callable[..., PagedList[_Found]], wanted: str) -> list[_Found]:
+    """Return what a search of MLflow finds on all its pages: one holds no more than a hundred models."""
+    page = search(filter_string=wanted)
+    entries = list(page)
+    while page.token:
+        page = search(filter_string=wanted, page_token=page.token)
+        entries += page
+    return entries

@@ -5,25 +5,25 @@ from __future__ import annotations
 import json
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 from mlflow.entities import Metric, Param, RunTag
 from mlflow.entities.model_registry import ModelVersion, RegisteredModel
 from mlflow.exceptions import MlflowException
-from mlflow.store.entities import PagedList
 from sqlalchemy.exc import SQLAlchemyError
 
 from dtwin.config import Home
 from dtwin.errors import InputError, StoreError
+from dtwin.people import acting
 from dtwin.processes import is_gone, process
 from dtwin.schema import require_name
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.pointer import served_version
-from dtwin.train._registry_client import client_of
+from dtwin.train._registry_client import client_of, every
 from dtwin.train.results import (
     Candidate,
     TrainingReport,
@@ -42,8 +42,13 @@ MODEL = "model_sha256"
 FAULTS = (MlflowException, SQLAlchemyError, OSError)
 """What calls of a registry raise when its database was lost, or is full."""
 _PROCESS = "dtwin.process"
+NOTE = "mlflow.note.content"
+"""Tag of a run or an experiment: what stands at the head of its page."""
+_ABOUT = (
+    "Trainings, twins and their corrections of all machines of a home. A training is a run with its candidates below; a twin "
+    "a run with its versions below. What may be served is in the model registry, and decided by `dtwin promote` alone."
+)
 _ALIASES = ("candidate", "champion", "previous")
-_Found = TypeVar("_Found")
 
 
 @dataclass(frozen=True)
@@ -74,7 +79,8 @@ class Registry:
     @contextmanager
     def open_run(self, name: str, tags: Mapping[str, str]) -> Iterator[str]:
         """Open an MLflow run and yield its id; it is marked failed when the body fails."""
-        run = self.client.create_run(self.experiment(), run_name=name, tags={**tags, _PROCESS: process()})
+        told = {**tags, _PROCESS: process(), "mlflow.user": acting()}
+        run = self.client.create_run(self.experiment(), run_name=name, tags=told)
         try:
             yield run.info.run_id
         except BaseException:
@@ -185,13 +191,13 @@ class Registry:
     def versions(self, machine: str) -> list[RegisteredVersion]:
         """Return all versions of a machine's model, newest first."""
         name = model_name(machine)
-        found = _every(self.client.search_model_versions, f"name='{name}'")
+        found = every(self.client.search_model_versions, f"name='{name}'")
         return _newest_first(machine, found, self.client.get_registered_model(name).aliases) if found else []
 
     def every_version(self) -> dict[str, list[RegisteredVersion]]:
         """Return all versions of every machine that has one, newest first."""
         of_model: dict[str, list[ModelVersion]] = {}
-        for version in _every(self.client.search_model_versions, _OURS):
+        for version in every(self.client.search_model_versions, _OURS):
             of_model.setdefault(version.name, []).append(version)
         return {
             (machine := model.name.removeprefix(_PREFIX)): _newest_first(machine, of_model[model.name], model.aliases)
@@ -204,7 +210,7 @@ class Registry:
         return [model.name.removeprefix(_PREFIX) for model in self._models()]
 
     def _models(self) -> list[RegisteredModel]:
-        return sorted(_every(self.client.search_registered_models, _OURS), key=lambda model: model.name)
+        return sorted(every(self.client.search_registered_models, _OURS), key=lambda model: model.name)
 
     def bundle(self, version: RegisteredVersion) -> dict[str, Any]:
         """Return the bundle of a version, as data."""
@@ -269,6 +275,10 @@ class Registry:
         version_ = self.client.get_model_version(model_name(version.machine), version.version)
         return version_.description or ""
 
+    def note(self, run_id: str, text: str) -> None:
+        """Write what stands at the head of a run's page, in Markdown."""
+        self.client.set_tag(run_id, NOTE, text)
+
     def attach(self, version: RegisteredVersion, artifacts: Mapping[str, str | bytes]) -> None:
         """Add files to the run behind a version, for the reviewer."""
         self.log_files(version.run_id, artifacts)
@@ -286,7 +296,7 @@ class Registry:
             "dtwin.held_out": held_out_text(candidate, report.candidates),
         }
         if candidate.equation:
-            tags["mlflow.note.content"] = f"```\n{candidate.equation[:4000]}\n```"
+            tags[NOTE] = f"```\n{candidate.equation[:4000]}\n```"
         self.log(run_id, params, candidate_metrics(candidate), tags)
         files: dict[str, str | bytes] = dict(candidate.exports)
         if candidate.findings:
@@ -350,7 +360,7 @@ class Registry:
         own = not self.uri.startswith("http")
         where = str(self.home.mlflow_artifacts) if own else None
         try:
-            return str(self.client.create_experiment(_EXPERIMENT, artifact_location=where))
+            return str(self.client.create_experiment(_EXPERIMENT, artifact_location=where, tags={NOTE: _ABOUT}))
         except MlflowException:
             # Another process was first.
             experiment = self.client.get_experiment_by_name(_EXPERIMENT)
@@ -380,16 +390,6 @@ def _registered(machine: str, found: ModelVersion, aliases: Mapping[str, str]) -
         tags=dict(found.tags),
         created=time.strftime("%Y-%m-%dT%H:%M:%S", time.gmtime(found.creation_timestamp / 1e3)),
     )
-
-
-def _every(search: Callable[..., PagedList[_Found]], wanted: str) -> list[_Found]:
-    """Return what a search of MLflow finds on all its pages: one holds no more than a hundred models."""
-    page = search(filter_string=wanted)
-    entries = list(page)
-    while page.token:
-        page = search(filter_string=wanted, page_token=page.token)
-        entries += page
-    return entries
 
 
 def _model_tag(candidate: Candidate) -> dict[str, str]:

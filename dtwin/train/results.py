@@ -236,7 +236,7 @@ def report_params(report: TrainingReport) -> dict[str, Any]:
         "seed": report.seed,
         "n_runs": report.n_runs,
         "n_rows": report.n_rows,
-        **{f"table_version.{k}": v for k, v in report.table_versions.items()},
+        **{f"table_version.{k}": v for k, v in report.table_versions.items() if v >= 0},
         **{f"version.{k}": v for k, v in environment().items()},
     }
 

@@ -9,7 +9,7 @@ from typing import Any
 
 from mlflow.exceptions import MlflowException
 
-from dtwin.train.registry import Registry
+from dtwin.train.registry import NOTE, Registry
 from dtwin.train.results import environment
 
 _DOCUMENT, _OPENED_FOR = "dtwin.document", "dtwin.opened_for"
@@ -34,13 +34,15 @@ def log_twin(
             pass
     run_id = _finished(registry, _DOCUMENT, digest)
     if run_id is None:
-        tags = {"mlflow.parentRunId": parent, "mlflow.note.content": description, _DOCUMENT: digest}
+        tags = {"mlflow.parentRunId": parent, NOTE: description, _DOCUMENT: digest}
         with registry.open_run(f"{name} v{document['version']}: {document['action']}", tags) as run_id:
             registry.log(run_id, _params(document), _figures(document), {})
             registry.log_files(run_id, {"twin.json": json.dumps(document, indent=1)})
             # The twin's own run shows them over its versions, unless somebody deleted it.
             with contextlib.suppress(MlflowException):
                 registry.log(parent, {}, _figures(document), {}, document["version"])
+                about = f"The twin {document['twin']} of {document['machine']}. Each version is a step of the metrics, and a run below."
+                registry.note(parent, f"{about}\n\nThe newest, version {document['version']}: {description}")
     about = f"Versions of the twin {document['twin']}, one for each rung."
     registry.ensure_model(name, about, machine=document["machine"], holds="twin")
     versions = client.search_model_versions(f"run_id='{run_id}'")
@@ -90,7 +92,7 @@ def note_diagnosis(registry: Registry, model: str, model_version: str, diagnosis
     group = [_label(c) for c in diagnosis["candidates"] if c["in_group"]]
     tags = {
         "verdict": str(diagnosis["verdict"]),
-        "group": ", ".join(group),
+        "group": ", ".join(group) or "none",
         "lack_of_fit_p": "nan" if p_value is None else f"{p_value:.3g}",
     }
     try:

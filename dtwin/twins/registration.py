@@ -223,8 +223,8 @@ def _log(registry: Registry, path: Path) -> None:
 def _description(document: Mapping[str, Any]) -> str:
     figures = {k: float("nan") if v is None else v for k, v in document["figures"].items()}
     return (
-        f"**{document['action']}** on {document['campaign']}: RMS "
-        f"{figures['rms_before_um']:z.2f} -> {figures['rms_after_um']:z.2f} µm, "
+        f"{document['action']} on {document['campaign']}: RMS "
+        f"{figures['rms_before_um']:z.2f} → {figures['rms_after_um']:z.2f} µm, "
         f"noise floor {figures['noise_floor_um']:z.2f} µm (unit of replication: the {document.get('replication', 'run')})."
     )
 

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 from closed_loop import circles
+from prefect.flows import load_flow_from_entrypoint
 from running_servers import MACHINE, Up, measured, running_up, wait_for
 
 from dtwin.acquire.b5r import write_b5r
@@ -35,6 +36,7 @@ from flows.ingest import ingest_flow
 from flows.nightly import nightly_flow
 from flows.reach import running
 from flows.recheck import recheck_flow
+from flows.schedule import deployments
 from flows.simulate import simulate_flow
 from flows.train import train_flow
 
@@ -46,6 +48,14 @@ pytestmark = pytest.mark.system
 def up(shared_up: Up, monkeypatch: pytest.MonkeyPatch) -> Up:
     monkeypatch.setenv("DTWIN_HOME", str(shared_up.home.root))
     return shared_up
+
+
+def test_every_flow_of_the_page_is_found_by_the_name_that_starts_it() -> None:
+    for made in deployments(None):
+        assert load_flow_from_entrypoint(made.entrypoint, use_placeholder_flow=False).name == made.name
+        assert made.description
+        assert "Args" not in made.description
+        assert made.tags
 
 
 def cells(artifact: dict[str, Any]) -> list[dict[str, str]]:

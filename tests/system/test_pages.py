@@ -54,7 +54,7 @@ def test_prefect_shows_the_run_with_its_tables_and_plots(up: Up, page: Page, art
     page.on("request", lambda request: asked.add(urlsplit(request.url).hostname or ""))
 
     page.goto(up.addresses["prefect_enter"])
-    page.wait_for_url("**/dashboard*")
+    page.wait_for_url("**/deployments*")
     page.goto(f"{up.addresses['prefect']}/runs/flow-run/{shown['id']}")
     expect(page.get_by_text("diagnose quick").first).to_be_visible(timeout=PATIENCE_MS)
     expect(page.get_by_text("Completed").first).to_be_visible()

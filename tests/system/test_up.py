@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 import signal
 import socket
 import subprocess
@@ -132,8 +131,8 @@ def _refuses_strangers(up: Up) -> None:
         assert [answer for answer in got if not answer.startswith("blocked")] == []
         # The user's own way in still works.
         opened.goto(up.addresses["prefect_enter"])
-        opened.wait_for_url(f"{page}/dashboard*")
-        opened.get_by_text(re.compile("Run a task or flow|Flow Runs")).first.wait_for(timeout=60_000)
+        opened.wait_for_url(f"{page}/deployments*")
+        opened.get_by_text("scheduled-training").first.wait_for(timeout=60_000)
         opened.goto(up.addresses["mlflow_enter"])
         opened.get_by_text("Registered Models").first.wait_for(timeout=60_000)
         # Not behind an advertisement, nor in MLflow's mode for chat programs.
