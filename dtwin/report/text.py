@@ -114,6 +114,9 @@ def counted(number: int, what: str) -> str:
 
 def classes(histogram: Mapping[str, int]) -> list[str]:
     """Return the classes of a histogram as people read them; its names are ``<10``, ``<20`` … and ``>=20`` for the rest."""
+    if not all(name.lstrip("<>=").isdecimal() for name in histogram):
+        # A log that somebody changed.
+        return list(histogram)
     below = [0, *(int(name.removeprefix("<")) for name in histogram if name.startswith("<"))]
     told = [f"{low:,} to {high:,}".replace(",", " ") for low, high in pairwise(below)]
     return [*told, *(f"over {int(name[2:]):,}".replace(",", " ") for name in histogram if name.startswith(">="))]

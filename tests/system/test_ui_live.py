@@ -132,7 +132,7 @@ def test_a_session_that_ended_shows_its_figures(bench: Workbench) -> None:
     made_of = re.findall("data-seen='(.*?)'", text)[0]
     assert json.dumps(json.loads(made_of)) == json.dumps(json.loads(bench.ask("/api/live")[1]))
     figure = json.loads(bench.ask("/api/live/mill-a/jitter?started=2026-03-02T08%3A00%3A00%2B00%3A00")[1])
-    assert figure["data"][0]["x"] == ["<10", ">=10"]
+    assert figure["data"][0]["x"] == ["0 to 10", "over 10"]
 
 
 def test_a_page_that_is_not_answered_says_so(tmp_path: Path, artifacts: Path) -> None:
