@@ -35,6 +35,7 @@ def error_budget(
     from dtwin.pipeline.twin_report import diagnosed
     from dtwin.report.budget import budget_text
     from dtwin.report.faults import undecided_lines, undecided_of
+    from dtwin.twins.budget_spread import spread_as_dict
     from dtwin.twins.of_kind import paths_of
     from dtwin.twins.verbs import Twins
 
@@ -45,8 +46,9 @@ def error_budget(
     elif origin is not None:
         raise InputError("--origin is of a program only", code="budget.origin", got=origin, hint="--program FILE")
     else:
-        found = Twins(home(), library).budget(twin, campaign)
-        about, text = {"campaign": campaign or twin.campaign, **found.as_dict()}, budget_text(found)
+        found, spread = Twins(home(), library).budget(twin, campaign)
+        about = {"campaign": campaign or twin.campaign, **spread_as_dict(found, spread)}
+        text = budget_text(found, spread)
     shelf = twins_named(name, effects_path)
     diagnosis = diagnosed(shelf, shelf.newest(name))[1]
     payload = {"twin": name, "version": twin.version, **about, "undecided": undecided_of(diagnosis)}

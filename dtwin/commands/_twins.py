@@ -184,7 +184,7 @@ def discover_effects(name: Name, seed: Seed = 0, effects_path: Paths = None, as_
     twin = twins.newest(name)
     effects: list[dict[str, Any]] = []
     if isinstance(twins, Twins) and isinstance(twin, Twin):
-        effects = sized_effects(twin, twins.budget(twin) if len(twin.campaigns) == 1 else None)
+        effects = sized_effects(twin, twins.budget(twin)[0] if len(twin.campaigns) == 1 else None)
     moving = [one for campaign in twin.campaigns for one in moving_findings(home(), campaign)]
     payload = {
         "twin": name,

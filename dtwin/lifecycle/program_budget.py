@@ -19,7 +19,7 @@ from dtwin.physics.state import AXES_OF
 from dtwin.physics.twin import Twin
 from dtwin.report.faults import with_k2
 from dtwin.report.html import Table
-from dtwin.report.text import micrometres, table
+from dtwin.report.text import table
 from dtwin.schema import Floats
 from dtwin.train.twin_axes import AXES, Motion, term_errors_um
 from dtwin.train.twin_terms import choose
@@ -36,17 +36,21 @@ class _Cut:
     ``label``, ``remedy``: the effect, and what to do about it.
     ``rms_um``: RMS over the way, of the vector under "", along X, Y and Z, in the planes XY, YZ and ZX, and ``across`` the
     way: what the workpiece shows.
-    ``uncertainty_um``: of the RMS of the vector, expanded, k = 2, from those of the parameters, taken as uncorrelated.
-    ``largest_um``: largest vector.
-    ``left_um``: RMS of the vector that all the other causes leave.
+    ``uncertainty_um``: of the RMS of the vector, expanded, k = 2, from those of the parameters, taken as uncorrelated;
+    ``k2_um``: the same of each of ``rms_um``.
+    ``largest_um``: largest vector, ``largest_k2_um``: its uncertainty, at that place.
+    ``left_um``, ``left_k2_um``: RMS of the vector that all the other causes leave, and its uncertainty.
     """
 
     label: str
     remedy: str
     rms_um: dict[str, float]
     uncertainty_um: float
+    k2_um: dict[str, float]
     largest_um: float
+    largest_k2_um: float
     left_um: float
+    left_k2_um: float
 
 
 @dataclass(frozen=True)
@@ -97,9 +101,12 @@ def program_budget(twin: Twin, text: str, *, origin_mm: Floats, where: str) -> _
         widths[term.label] = _widths_um(term, twin, motion)
     total = sum(does.values(), np.zeros(motion.position_mm.shape))
     named = {term.label: (term.label, term.instance.effect.remedy) for term in twin.terms}
-    causes = [_cut(named[label], one, total - one, way, step_mm, widths[label]) for label, one in does.items()]
     together = [width for one in widths.values() for width in one]
-    every = _cut(("all of them", ""), total, np.zeros_like(total), way, step_mm, together)
+    causes = []
+    for label, one in does.items():
+        others = [width for name, some in widths.items() if name != label for width in some]
+        causes.append(_cut(named[label], (one, widths[label]), (total - one, others), way, step_mm))
+    every = _cut(("all of them", ""), (total, together), (np.zeros_like(total), []), way, step_mm)
     ordered = tuple(sorted(causes, key=lambda cut: -cut.rms_um[""]))
     return _ProgramBudget(ordered, every, not_told, float(step_mm.sum()), outside(twin, motion) / len(way))
 
@@ -163,18 +170,26 @@ def _followed(text: str, origin_mm: Floats, where: str) -> tuple[Motion, Floats,
     return whole, np.concatenate(ways), np.concatenate(steps)
 
 
-def _cut(
-    named: tuple[str, str], does: Floats, others: Floats, way: Floats, step_mm: Floats, widths_um: list[Floats]
-) -> _Cut:
-    across = does - (does * way).sum(axis=1, keepdims=True) * way
-    rms = {"": _rms(does, step_mm)}
-    rms |= {axis: _rms(does[:, [k]], step_mm) for k, axis in enumerate(AXES)}
-    rms |= {plane: math.hypot(*(rms[axis] for axis in pair)) for plane, pair in AXES_OF.items()}
-    rms["across"] = _rms(across, step_mm)
-    # How the RMS changes with each parameter.
-    parts = [_along(width, does, step_mm) for width in widths_um]
-    largest = float(np.linalg.norm(does, axis=1).max())
-    return _Cut(*named, rms, float(np.hypot.reduce([0.0, *parts])), largest, _rms(others, step_mm))
+_Sized = tuple[Floats, list[Floats]]
+"""What causes do, shape (n, 3), and what the expanded uncertainty of each of their parameters does."""
+
+
+def _cut(named: tuple[str, str], own: _Sized, others: _Sized, way: Floats, step_mm: Floats) -> _Cut:
+    def seen(axes: str, vectors: Floats) -> Floats:
+        if axes == "across":
+            return np.asarray(vectors - (vectors * way).sum(axis=1, keepdims=True) * way)
+        return vectors[:, [AXES.index(axis) for axis in axes or AXES]]
+
+    does, widths_um = own
+    rms, k2 = {}, {}
+    for axes in ("", *AXES, *AXES_OF, "across"):
+        mine, moved = seen(axes, does), [seen(axes, width) for width in widths_um]
+        rms[axes], k2[axes] = _rms(mine, step_mm), _moves(mine, moved, step_mm)
+    furthest = np.linalg.norm(does, axis=1).argmax()[None]
+    there = [width[furthest] for width in widths_um]
+    largest = _rms(does[furthest], np.ones(1)), _moves(does[furthest], there, np.ones(1))
+    left, left_widths = others
+    return _Cut(*named, rms, k2[""], k2, *largest, _rms(left, step_mm), _moves(left, left_widths, step_mm))
 
 
 def _widths_um(term: Term, twin: Twin, motion: Motion) -> list[Floats]:
@@ -184,9 +199,12 @@ def _widths_um(term: Term, twin: Twin, motion: Motion) -> list[Floats]:
     return [term_errors_um(term, twin, motion, np.eye(len(widths))[k] * w) for k, w in enumerate(widths)]
 
 
-def _along(part: Floats, does: Floats, step_mm: Floats) -> float:
-    rms = _rms(does, step_mm)
-    return float(((part * does).sum(axis=1) * step_mm).sum() / step_mm.sum() / rms) if rms > 0.0 else 0.0
+def _moves(does: Floats, widths_um: list[Floats], step_mm: Floats) -> float:
+    """Return how the RMS changes with the uncertainty of each parameter, together."""
+    if (rms := _rms(does, step_mm)) <= 0.0:
+        return 0.0
+    parts = [((width * does).sum(axis=1) * step_mm).sum() / step_mm.sum() / rms for width in widths_um]
+    return float(np.hypot.reduce([0.0, *parts]))
 
 
 def _rms(vectors: Floats, step_mm: Floats) -> float:
@@ -202,14 +220,17 @@ def program_text(found: _ProgramBudget) -> str:
 def program_table(found: _ProgramBudget) -> Table:
     """Return every cause, the largest first, and all of them together."""
     parts = [f"{name}, µm" for name in (*AXES, *AXES_OF)]
-    head = ["cause", "RMS, µm (k = 2)", *parts, "across the way, µm", "largest, µm", "left without it, µm"]
-    rows = [[*_row(cut), micrometres(cut.left_um)] for cut in found.causes]
+    head = ["cause", "RMS, µm", *parts, "across the way, µm", "largest, µm", "left without it, µm"]
+    rows = [[*_row(cut), _sure(cut.left_um, cut.left_k2_um)] for cut in found.causes]
     return Table(head, [*rows, [*_row(found.every), "-"]])
 
 
 def program_lines(found: _ProgramBudget) -> list[str]:
     """Return what holds of the table, and the remedy of each cause."""
-    lines = [f"{found.length_mm:z.0f} mm at feed, at the speed that is programmed"]
+    lines = [
+        f"{found.length_mm:z.0f} mm at feed, at the speed that is programmed",
+        "± is k = 2, from the uncertainties of the parameters, taken as uncorrelated",
+    ]
     if found.outside > 0.0:
         lines.append(f"{100 * found.outside:z.0f} % of the points lie further out than anything that was measured")
     lines += [f"not in it: {label}: {why}" for label, why in found.not_told.items()]
@@ -217,6 +238,9 @@ def program_lines(found: _ProgramBudget) -> list[str]:
 
 
 def _row(cut: _Cut) -> list[str]:
-    own = with_k2(cut.rms_um[""], cut.uncertainty_um, "um").removesuffix(" µm")
-    parts = [micrometres(cut.rms_um[name]) for name in (*AXES, *AXES_OF, "across")]
-    return [cut.label, own, *parts, micrometres(cut.largest_um)]
+    parts = [_sure(cut.rms_um[name], cut.k2_um[name]) for name in ("", *AXES, *AXES_OF, "across")]
+    return [cut.label, *parts, _sure(cut.largest_um, cut.largest_k2_um)]
+
+
+def _sure(value_um: float, k2_um: float) -> str:
+    return with_k2(value_um, k2_um, "um").removesuffix(" µm")

@@ -2,27 +2,43 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Protocol
+
 from dtwin.physics.budget import Budget, Share
 from dtwin.report.faults import with_k2
 from dtwin.report.html import Table
 from dtwin.report.text import micrometres, table
 
+SURE = (
+    "± is k = 2: of a cause from the uncertainties of its parameters, taken as uncorrelated; of what is left also from what "
+    "repeats differ by (unit of replication: the run). P-V has none: it is the largest of many differences, and noise makes it larger."
+)
+"""What the uncertainties of a budget are of."""
 
-def budget_table(found: Budget, *, in_words: bool = True) -> Table:
+
+class _Spread(Protocol):
+    """How sure the figures are, k = 2, as ``BudgetSpread`` has it."""
+
+    @property
+    def parts(self) -> Mapping[str, Mapping[str, float]]: ...
+    @property
+    def left(self) -> Mapping[str, float]: ...
+    @property
+    def error(self) -> float: ...
+    @property
+    def left_of_all(self) -> float: ...
+
+
+def budget_table(found: Budget, spread: _Spread, *, in_words: bool = True) -> Table:
     """Return every cause, the largest first, and what is left without all of them; causes ``in_words``, or as commands take them."""
     planes = list(found.shares[0].rms_um)[1:] if found.shares else []
     several = planes if len(planes) > 1 else []
-    head = [
-        "cause",
-        "its own RMS, µm (k = 2)",
-        *(f"{p}, µm" for p in several),
-        "left without it, µm",
-        "largest P-V, µm",
-    ]
-    rows = [[share.title if in_words else share.label, *_row(share, several)] for share in found.shares]
+    head = ["cause", "its own RMS, µm", *(f"{p}, µm" for p in several), "left without it, µm", "largest P-V, µm"]
+    rows = [[share.title if in_words else share.label, *_row(share, spread, several)] for share in found.shares]
     nothing = ["-"] * len(several)
-    rows.append(["as measured", "-", *nothing, micrometres(found.error_um), micrometres(found.largest_um)])
-    left = [micrometres(found.left_um), micrometres(found.left_largest_um)]
+    rows.append(["as measured", "-", *nothing, _sure(found.error_um, spread.error), micrometres(found.largest_um)])
+    left = [_sure(found.left_um, spread.left_of_all), micrometres(found.left_largest_um)]
     return Table(head, [*rows, ["without all of them", "-", *nothing, *left]])
 
 
@@ -34,14 +50,18 @@ def unexplained_line(found: Budget) -> str:
     )
 
 
-def budget_text(found: Budget) -> str:
+def budget_text(found: Budget, spread: _Spread) -> str:
     """Return the budget for the terminal."""
     remedies = [f"{share.label}: {share.remedy}" for share in found.shares]
-    shown = budget_table(found, in_words=False)
-    return "\n".join([table(shown.head, shown.rows), unexplained_line(found), "", *remedies])
+    shown = budget_table(found, spread, in_words=False)
+    return "\n".join([table(shown.head, shown.rows), unexplained_line(found), SURE, "", *remedies])
 
 
-def _row(share: Share, planes: list[str]) -> list[str]:
-    own = with_k2(share.rms_um[""], share.uncertainty_um, "um").removesuffix(" µm")
-    each = [micrometres(share.rms_um[plane]) for plane in planes]
-    return [own, *each, micrometres(share.left_um), micrometres(share.largest_um)]
+def _row(share: Share, spread: _Spread, planes: list[str]) -> list[str]:
+    each = [_sure(share.rms_um[plane], spread.parts[share.label][plane]) for plane in planes]
+    own, left = _sure(share.rms_um[""], share.uncertainty_um), _sure(share.left_um, spread.left[share.label])
+    return [own, *each, left, micrometres(share.largest_um)]
+
+
+def _sure(value_um: float, k2_um: float) -> str:
+    return with_k2(value_um, k2_um, "um").removesuffix(" µm")

@@ -14,7 +14,7 @@ from dtwin.errors import InputError
 from dtwin.lake.store import Lake
 from dtwin.locks import take
 from dtwin.physics import localise
-from dtwin.physics.budget import Budget, budget
+from dtwin.physics.budget import Budget
 from dtwin.physics.diagnose import diagnose
 from dtwin.physics.diagnosis import Diagnosis
 from dtwin.physics.effect import Effect
@@ -42,6 +42,7 @@ from dtwin.twins._kept_diagnosis import (
 )
 from dtwin.twins._learned import WithLearned, twin_from
 from dtwin.twins._path_member import PathMember
+from dtwin.twins.budget_spread import BudgetSpread, spread_budget
 from dtwin.twins.measured import Comparison, Loaded, load
 from dtwin.twins.several import SeveralComparison, fitted_together, require_together
 from dtwin.twins.shelf import PATHS, TwinShelf, effect_absent, effect_there, require_same_machine
@@ -114,8 +115,8 @@ class Twins(TwinShelf):
         before = localise.residual_um(obs, [])
         return Comparison(twin, obs, residual, before, tuple(warnings), loaded.controller_um)
 
-    def budget(self, twin: Twin, campaign: str | None = None) -> Budget:
-        """Return how much each effect of a twin makes of the error.
+    def budget(self, twin: Twin, campaign: str | None = None) -> tuple[Budget, BudgetSpread]:
+        """Return how much each effect of a twin makes of the error, and how sure that is.
 
         Args:
             campaign: Other measurements than those of the fit; of several campaigns it says which.
@@ -132,7 +133,7 @@ class Twins(TwinShelf):
         require_same_machine(twin.name, twin.machine, obs.campaign.name, obs.campaign.machine)
         if isinstance(twin, SeveralTwin):
             twin, _ = seen_in(twin, obs, self.library)
-        return budget(twin, obs)
+        return spread_budget(twin, obs)
 
     def diagnose(self, name: str, *, seed: int = 0) -> tuple[Twin, Diagnosis]:
         """Find out what a twin lacks; what was found out before, of the same version by the same code, is read again."""

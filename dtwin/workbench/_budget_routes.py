@@ -11,11 +11,11 @@ from starlette.responses import JSONResponse, Response
 
 from dtwin.lifecycle.gcode_program import MAX_BYTES, plain
 from dtwin.lifecycle.program_budget import of_circles, program_budget, program_lines, program_table
-from dtwin.physics.budget import Budget, budget
 from dtwin.pipeline.kept import keep, kept_already
-from dtwin.report.budget import budget_table, unexplained_line
+from dtwin.report.budget import SURE, budget_table, unexplained_line
 from dtwin.report.faults import undecided_lines
 from dtwin.report.html import Table
+from dtwin.twins.budget_spread import spread_budget
 from dtwin.twins.of_kind import paths_of
 from dtwin.workbench import _reading as reading
 from dtwin.workbench._bench import Bench, Here
@@ -39,7 +39,7 @@ class _ProgramRequest(BaseModel):
 def budget_page(request: Request, bench: Here, name: str, on: str = "") -> Response:
     """Show what each cause makes of the error of measured paths, and of the program that was evaluated last."""
     view = reading.view(bench, name, on=on)
-    found: Budget = bench.cache.get(("budget", *view.key), lambda: budget(view.twin, view.obs))
+    found, spread = bench.cache.get(("budget", *view.key), lambda: spread_budget(view.twin, view.obs))
     whole = paths_of(bench.home, bench.library, name)
     diagnosis = reading.diagnosis_of(bench, name, whole.version)
     program = kept_already(bench.home, _KEPT, name)
@@ -51,7 +51,8 @@ def budget_page(request: Request, bench: Here, name: str, on: str = "") -> Respo
         twin=whole,
         on=view.obs.campaign.name,
         campaigns=bench.campaigns_of(whole.machine, view.obs.campaign.kind),
-        measured=budget_table(found),
+        measured=budget_table(found, spread),
+        sure=SURE,
         remedies=[(share.title, share.remedy) for share in found.shares],
         doubts=undecided_lines(diagnosis, bench.library),
         unexplained=unexplained_line(found),

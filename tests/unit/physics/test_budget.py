@@ -13,6 +13,7 @@ from dtwin.physics.fit import fit
 from dtwin.physics.library import Library
 from dtwin.physics.observations import observe
 from dtwin.physics.twin import chosen_terms, twin_of
+from dtwin.twins.budget_spread import _repeats_um, spread_as_dict, spread_budget
 
 LIBRARY = Library()
 RADII_MM = (50.0, 100.0, 150.0)
@@ -46,3 +47,26 @@ def test_the_rms_of_a_cause_is_that_of_its_ellipse() -> None:
     assert found.unexplained_um < 0.1 * found.error_um
     assert found.unexplained_um < found.left_um < min(share.left_um for share in found.shares)
     assert found.left_largest_um < shares["squareness XY"].largest_um < found.largest_um
+
+
+def test_what_is_left_is_as_sure_as_it_says() -> None:
+    """Runs that differ as a whole, beside noise: the RMS of campaigns made again scatters by what one of them foretells."""
+    rng = np.random.default_rng(0)
+    made = VirtualMill(MillParameters(squareness_um_m={"XY": 60.0}), seed=3, noise=NoiseParameters(rms_um=0.1))
+    obs = observe(made.campaign(), made.measure(_standard_tests(3, planes=("XY",))[:12]))
+    fitted = fit(obs, chosen_terms(["squareness"], LIBRARY, obs))
+    twin = twin_of(fitted, obs, name="t", version=1, action="fit", data={})
+    told = []
+    for _ in range(40):
+        size = 1.0 + 0.1 * rng.normal(size=obs.run_of.max() + 1)[obs.run_of, None]
+        told.append(_repeats_um(again := obs.with_y(size * obs.y_um), again.y_um))
+        told.append(again.rms(again.y_um))
+    k2, rms = np.array(told).reshape(40, 2).T
+    assert np.mean(k2) == pytest.approx(2.0 * rms.std(ddof=1), rel=0.3)
+    found, spread = spread_budget(twin, obs)
+    (share,) = found.shares
+    # One plane is all there is, and without its one cause nothing but noise is left.
+    assert spread.parts[share.label]["XY"] == pytest.approx(share.uncertainty_um)
+    assert spread.left[share.label] == pytest.approx(spread.left_of_all, rel=0.2)
+    assert found == budget(twin, obs)
+    assert spread_as_dict(found, spread)["shares"][0]["k2_um"]["left"] == spread.left[share.label]
