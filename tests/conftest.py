@@ -210,7 +210,7 @@ def _german(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> 
     if request.path.parent.name != "kinds":
         yield
         return
-    from dtwin.report.certificate import _german_of
+    from dtwin.report.language import _german_of
 
     told: set[str] = set()
     made = Finding.__init__

@@ -152,7 +152,7 @@ def test_the_sizes_of_all_correct_the_path_of_one(home: Home) -> None:
     assert (told["campaigns"], told["unknown"]) == (["laser-x", "laser-y"], [])
     assert told["after_um"] < 0.3 * told["before_um"]
     rows = printed("export", "moved", "--as", "csv", "--out", str(home.root / "moved.csv"))
-    assert "travel_mm: [-100.0, 100.0]" in rows
+    assert "travel -100 to 100 mm" in rows
     # Lost motion was mended; a laser says so by another name of the cause, and without one of the campaigns.
     mended = said("twin", "confirm", "moved", "backlash:X", "--after", "mended", "--after", "laser-y")
     assert (mended["grade"], mended["before_campaign"]) == ("intervention-confirmed", "bar, laser-x")
