@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from dtwin.commands._effects import Paths
-from dtwin.commands._output import Json, emit
+from dtwin.commands._output import Json, Report, ReportLanguage, emit, require_report
 from dtwin.config import home
 from dtwin.errors import InputError
 from dtwin.report.text import table
@@ -111,6 +111,8 @@ def list_machines(as_json: Json = False) -> None:
 def show(
     name: Name,
     ics: Annotated[Path | None, typer.Option(help="Write the next test to this calendar file.")] = None,
+    html: Report = None,
+    language: ReportLanguage = "en",
     as_json: Json = False,
 ) -> None:
     """Show a machine: what is known of it, its tests, what changed from test to test, and when the next one is due."""
@@ -119,9 +121,14 @@ def show(
     from dtwin.atomic import write_text
     from dtwin.commands._output import ProgressLine
     from dtwin.pipeline.machine_history import machine_history, with_sheets
+    from dtwin.pipeline.machine_report import machine_report
     from dtwin.pipeline.machine_series import calendar_of
+    from dtwin.report.pdf import write_document
 
+    require_report(html, language)
     history = machine_history(home(), name, ProgressLine("figures", quiet=as_json))
+    if html is not None:
+        write_document(html, machine_report(history, language), "the report")
     if ics is not None:
         if not history["next_test"]:
             raise InputError(

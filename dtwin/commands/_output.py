@@ -12,7 +12,7 @@ from typing import Annotated, Any
 
 import typer
 
-from dtwin.errors import printable
+from dtwin.errors import InputError, printable
 
 Json = Annotated[bool, typer.Option("--json", help="Print only JSON on stdout.")]
 """Option of every command that has figures to tell."""
@@ -20,6 +20,20 @@ Report = Annotated[
     Path | None,
     typer.Option("--html", help="Write a report, one offline page; a name that ends in .pdf is printed by a browser."),
 ]
+
+
+ReportLanguage = Annotated[str, typer.Option("--language", help="Of the report: en or de.")]
+
+
+def require_report(html: Path | None, language: str) -> None:
+    """Refuse a language that is of nothing."""
+    if html is None and language != "en":
+        raise InputError(
+            "in that language there is only the report",
+            code="document.language",
+            got=f"--language {language}",
+            hint="--html FILE",
+        )
 
 
 def emit(payload: Mapping[str, Any], text: Callable[[], str], *, as_json: bool) -> None:

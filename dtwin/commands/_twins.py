@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from dtwin.commands._effects import Paths, library_with
-from dtwin.commands._output import Json, Report, emit
+from dtwin.commands._output import Json, Report, ReportLanguage, emit, require_report
 from dtwin.commands.tasks import TwinCommands
 from dtwin.config import home
 from dtwin.errors import InputError, StoreError
@@ -301,7 +301,7 @@ def show_twin(
     name: Name,
     version: Annotated[int | None, typer.Option(help="The newest one without.")] = None,
     html: Report = None,
-    language: Annotated[str, typer.Option(help="Of the report: en or de.")] = "en",
+    language: ReportLanguage = "en",
     effects_path: Paths = None,
     as_json: Json = False,
 ) -> None:
@@ -312,14 +312,11 @@ def show_twin(
     from dtwin.report.twin_of_kind import report_of
     from dtwin.twins.confirm import interventions
 
+    require_report(html, language)
     twins = twins_named(name, effects_path)
     twin = twins.newest(name, version)
     if html is not None:
         write_report(html, home(), twins, library_with(effects_path), twin, language)
-    elif language != "en":
-        raise InputError(
-            "in that language there is only the report", code="document.language", got=language, hint="--html FILE"
-        )
     mended = interventions(twins, name)
     lines = [
         f"{m['effect']} was mended ({m['what'] or 'not said how'}), {m['after_campaign']}: "

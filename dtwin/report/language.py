@@ -26,6 +26,7 @@ _PIECES = [(clause.split("{}"), german) for clause, german in _CLAUSES.items() i
 # A longer text is no finding of dtwin's. Names that stand for ``{}`` have no more blanks than these.
 _LONGEST, _MOST_SPACES = 1500, 2
 _WORD = re.compile("[A-Za-z]{3}")
+_WORDS_OF = re.compile("[A-Za-z]{3,}")
 _AXIS = re.compile(r"[A-Z0-9]{1,4}|axis_\d")
 _NUMBER = r"[-+]?\d[\d.]*(?:e[-+]?\d+)?"
 _SIZE = re.compile(
@@ -112,9 +113,12 @@ def _between(pieces: Sequence[str], text: str) -> list[str] | None:
 
 
 def _name(text: str, tell: Callable[[object], str]) -> str | None:
-    if text[:1].isupper() and (title := _titled(text)):
+    if (text[:1].isupper() or ", " in text) and (title := _titled(text)):
         return title
-    return tell(text) if _are_names(text) or not _WORD.search(text) else None
+    told = tell(text)
+    # Names and numbers, or phrases of which every word is known.
+    known = _are_names(text) or not {*_WORDS_OF.findall(text)} & {*_WORDS_OF.findall(told)}
+    return told if known else None
 
 
 def _are_names(text: str) -> bool:

@@ -14,14 +14,15 @@ from starlette.responses import JSONResponse, Response
 
 from dtwin.errors import InputError
 from dtwin.kinds.registry import kinds
-from dtwin.local_time import local_day
 from dtwin.machine_record import EVENTS, FACTS, keep_record, record_with, with_event, without_event
 from dtwin.pipeline.machine_history import machine_overviews
 from dtwin.pipeline.machine_joint import is_compared, machine_joint
 from dtwin.pipeline.machine_next import machine_next
+from dtwin.pipeline.machine_report import machine_report, overdue
 from dtwin.pipeline.machine_series import TESTS_PER_FALSE_ALARM, calendar_of
 from dtwin.report.faults import title_of
 from dtwin.report.history_plots import chart_figure, series_figure
+from dtwin.report.pdf import pdf_of
 from dtwin.report.sheet import number_of
 from dtwin.units import shown_unit
 from dtwin.workbench._bench import Bench, Here
@@ -111,13 +112,20 @@ def machine_page(request: Request, bench: Here, name: str) -> Response:
         title=f"Machine {name}",
         machine=history,
         changes=sorted(changes, key=lambda change: str(change["seen"]), reverse=True),
-        overdue=_overdue(history),
+        overdue=overdue(history),
         false_alarms=TESTS_PER_FALSE_ALARM,
         known_events=EVENTS,
         known_facts=FACTS,
         plans=planned_of(bench, name),
         with_twins=[kind.name for kind in kinds() if kind.offers("twins")],
     )
+
+
+@router.get("/machines/{name}/report.{ending}")
+def report(bench: Here, name: str, ending: Literal["html", "pdf"], language: str = "en") -> Response:
+    """Return what is known of a machine and what its tests say over time, as one file that needs nothing else."""
+    made, file = machine_report(bench.history(name), language), f"{name}.{ending}"
+    return download(made, file, "text/html") if ending == "html" else download(pdf_of(made), file, "application/pdf")
 
 
 @router.post("/api/machines/{name}/together")
@@ -191,7 +199,7 @@ def summary(bench: Here, name: str) -> dict[str, Any]:
         "values": values,
         "unit": shown_unit(last["unit"]) if last else "",
         "changed": current[0] if current else "",
-        "overdue": _overdue(history),
+        "overdue": overdue(history),
         "champion": history["champion"],
     }
 
@@ -296,8 +304,3 @@ def _series(history: Mapping[str, Any], name: str) -> Mapping[str, Any]:
     if chosen is None:
         raise InputError("there is no such figure", code="page.unknown", where=history["machine"], got=name[:80])
     return chosen
-
-
-def _overdue(history: Mapping[str, Any]) -> bool:
-    due = history["next_test"]
-    return bool(due) and str(due["on"]) < local_day().isoformat()

@@ -15,8 +15,8 @@ from starlette.responses import HTMLResponse, JSONResponse, Response
 
 from dtwin import __version__
 from dtwin.errors import DtwinError, GateRefusal
-from dtwin.kinds.registry import unit_of_limit
 from dtwin.local_time import local_time
+from dtwin.pipeline.machine_report import tolerance_words
 from dtwin.report.faults import grouped, title_of
 from dtwin.report.pdf import browser
 from dtwin.report.text import VERDICTS, micrometres
@@ -63,11 +63,16 @@ _ENVIRONMENT.filters |= {
     "place": place_words,
     "stated": stated,
     "unit": shown_unit,
-    "unit_of_limit": unit_of_limit,
     "grouped": grouped,
     "titled": title_of,
 }
-_ENVIRONMENT.globals |= {"version": __version__, "verdict_words": VERDICTS, "zone": zone, "browser": browser}
+_ENVIRONMENT.globals |= {
+    "tolerance_words": tolerance_words,
+    "version": __version__,
+    "verdict_words": VERDICTS,
+    "zone": zone,
+    "browser": browser,
+}
 
 
 def rendered(request: Request, template: str, status: int = 200, **context: Any) -> HTMLResponse:

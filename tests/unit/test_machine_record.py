@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from concurrent.futures import ThreadPoolExecutor
 from datetime import UTC, date, datetime
 from pathlib import Path
@@ -22,8 +23,10 @@ from dtwin.errors import InputError
 from dtwin.lake.store import Lake
 from dtwin.machine_record import Event, MachineRecord, keep_record, read_record, tolerances_of, with_event
 from dtwin.pipeline.machine_history import machine_history
-from dtwin.pipeline.machine_series import Point, Series, calendar_of, judged_series
+from dtwin.pipeline.machine_report import tolerance_words
+from dtwin.pipeline.machine_series import Point, Series, calendar_of, judged_series, next_test
 from dtwin.pipeline.planned_tests import draft_of
+from dtwin.report.language import Language
 from dtwin.tolerances import Limits
 from dtwin.twins.verbs import Twins
 
@@ -82,6 +85,10 @@ def test_what_was_mistyped_is_taken_back(home: Home) -> None:
     assert known is not None
     assert known.tolerances == {"G(b)": Limits(None, 10.0)}
     assert [e.note for e in known.events] == ["vice", "table"]
+    assert [tolerance_words("D", 10.0), tolerance_words("Fmin(CW)", {"low": -5.0, "high": None})] == [
+        "± 10 µm",
+        "≥ -5 µm",
+    ]
 
 
 @pytest.mark.parametrize(
@@ -198,6 +205,12 @@ def test_a_crash_shows_in_the_history_of_figures_and_of_fault_sizes(home: Home) 
     calendar = home.root / "next.ics"
     said("machine", "show", "mill-7", "--ics", str(calendar))
     assert b"DTSTART;VALUE=DATE:20250903\r\n" in calendar.read_bytes()
+    page = home.root / "mill-7.html"
+    said("machine", "show", "mill-7", "--html", str(page), "--language", "de")
+    report = re.sub(r"<script.*?</script>", "", page.read_text(encoding="utf-8"), flags=re.S)
+    assert re.search("Rechtwinkligkeitsabweichung, XY änderte sich um [-+]", report)
+    assert "Die nächste Messung war am 2025-09-03 fällig: alle 30 Tage soll gemessen werden" in report
+    assert 'lang="en"' not in report.partition("<body>")[2]
     spoilt = next((home.root / "kept" / "sheets").glob("t03.json"))
     spoilt.write_text("{")
     assert said("machine", "show", "mill-7") == shown
@@ -272,8 +285,15 @@ def test_an_instrument_that_changes_and_an_event_raise_no_alarm() -> None:
     assert "+2.98 ± 0.18 µm after: measured with b instead of a" in other["changes"][0]["text"]
     repaired = judged("a" * 10, Event(date(2025, 6, 20), "repair", "nut"))
     assert (repaired["state"], repaired["changes"][0]["text"][-4:]) == ("steady", " nut")
+    assert "gemessen mit b statt a: Maschine oder Messgerät" in _in_german(other["changes"][0]["text"])
     same_day = judged("a" * 10, Event(date(2025, 7, 10), "repair", "nut"))
     assert [r["first"] for r in same_day["chart"]["regimes"]] == [0, 6]
+
+
+def _in_german(text: str) -> str:
+    said, language = Language("de").read(text)
+    assert language == "de", text
+    return said
 
 
 def _charted(values: list[float], high: float | None = None) -> dict[str, Any]:
@@ -289,6 +309,9 @@ def test_an_alarm_that_later_tests_do_not_bear_out_is_no_change_for_good() -> No
     (change,) = told["changes"]
     assert "A, axis X may have changed between 2024-06-10 and 2024-07-10" in change["text"]
     assert "+0.34 ± 0.59 µm, which may be nothing" in change["text"]
+    assert _in_german(change["text"]).startswith(
+        "A, Achse X änderte sich vielleicht zwischen 2024-06-10 und 2024-07-10"
+    )
 
 
 def test_what_leads_to_a_limit_is_not_called_steady() -> None:
@@ -296,6 +319,8 @@ def test_what_leads_to_a_limit_is_not_called_steady() -> None:
     told = _charted(rising, 10.0)
     assert told["crossing"]["limit"] == 10.0
     assert told["state"] == "slow trend"
+    due = next_test([told], MachineRecord("mill"), "")
+    assert _in_german(f"The next test was due on {due['on']}: {due['why']}").endswith("die Grenze überschreiten")
     assert _charted(rising)["state"] == "steady"
 
 

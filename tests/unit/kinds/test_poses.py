@@ -182,7 +182,7 @@ def test_all_that_is_missing_is_chosen_from_nothing_and_the_choice_is_judged_wit
 
 def test_what_is_missing_once_idle_effects_are_out_is_chosen_too() -> None:
     joints, rng = _joints(60, 6), np.random.default_rng(106)
-    actual = joints + [0.0, 0.0, 4.7e-4, 6.8e-4, 0.0, 0.0]
+    actual = joints + np.array([0.0, 0.0, 4.7e-4, 6.8e-4, 0.0, 0.0])
     actual[:, 2] += 2e-4 * np.sin(joints[:, 2] + 1.0)
     measured = _measured(actual, 1.0) + rng.normal(0.0, 0.03, (len(joints), 3))
     grams = Grams(series_of(np.degrees(joints), measured, KNOWN["ur10"], None))
