@@ -87,7 +87,8 @@ ANGLES_DEG = (
 )
 """The same of angles, in degrees; ``grad`` is none: a degree in German, 1/400 of a turn elsewhere."""
 TIMES_S = (
-    {"us": 1e-6, "µs": 1e-6, "μs": 1e-6, "ms": 1e-3}
+    {"us": 1e-6, "µs": 1e-6, "μs": 1e-6, "usec": 1e-6, "µsec": 1e-6, "μsec": 1e-6}
+    | dict.fromkeys(("ms", "msec", "msecs", "millisecond", "milliseconds", "millisekunden", "毫秒"), 1e-3)
     | dict.fromkeys(("min", "mins", "minute", "minutes", "minuten", "分"), 60.0)
     | dict.fromkeys(("d", "day", "days", "tage"), 86_400.0)
     | dict.fromkeys(("s", "sec", "secs", "sek", "second", "seconds", "sekunden", "秒"), 1.0)

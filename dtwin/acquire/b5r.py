@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -31,6 +32,7 @@ _HOTTEST = 1000.0
 _OF_MACHINES = re.compile(r"[XYZ]{2}")
 _USUAL_VIEW = "+A+B"
 _WHOLE_DEG = 359.0
+_SCALES_ALIKE = 0.005
 
 
 @dataclass(frozen=True)
@@ -83,7 +85,8 @@ def read_b5r(path: Path) -> BallbarTest:
             hint="save the test after it was measured",
         )
     started = _started(child_text(root, "DATE_STARTED"))
-    runs = [_read_run(element, bar, started, path) for element in elements]
+    scaled = _scale_findings(root)
+    runs = [_read_run(element, bar, started, path, scaled) for element in elements]
     machine = root.find("MACHINE_TESTED")
     spec = root.find("TEST_SPEC")
     return BallbarTest(
@@ -97,7 +100,16 @@ def read_b5r(path: Path) -> BallbarTest:
     )
 
 
-def _read_run(element: Element, bar: Element, started: str, path: Path) -> Run:
+def _scale_findings(root: Element) -> tuple[Finding, ...]:
+    """Return that the ball bar has a scale factor: whether readings hold it already, a file does not say."""
+    stated = number_or_none(child_text(root, "EQUIPMENT/BALLBAR/SCALE_FACTOR"))
+    if stated is None or abs(stated - 1.0) <= _SCALES_ALIKE:
+        return ()
+    said = f"the file states a scale factor of {stated:g} for the ball bar; readings are taken as they stand: where they lack it, every figure does"
+    return (Finding("b5r.scale", "warning", said, {"factor_1": stated}),)
+
+
+def _read_run(element: Element, bar: Element, started: str, path: Path, scaled: tuple[Finding, ...]) -> Run:
     stated = child_text(element, "RUN_DIRECTION").upper()
     where = f"{path} BALLBAR_RUN {stated or '?'}"
     if stated not in ("CCW", "CW"):
@@ -156,7 +168,7 @@ def _read_run(element: Element, bar: Element, started: str, path: Path) -> Run:
         "deviation_um": readings_mm * 1000.0,
     }
     findings = () if plane_element is None else _plane_findings(plane_element, own_plane)
-    return Run(meta=meta, samples=samples, window=(start, end), source=str(path), findings=findings)
+    return Run(meta=meta, samples=samples, window=(start, end), source=str(path), findings=(*scaled, *findings))
 
 
 def _plane_findings(element: Element, plane: str) -> tuple[Finding, ...]:
@@ -214,7 +226,7 @@ def write_b5r(path: Path, runs: Sequence[Run], *, name: str, machine: str) -> No
     lines = [
         '<?xml version="1.0" encoding="utf-8" standalone="yes"?>',
         "<TEST_DOCUMENT>",
-        f'<TEST_SPEC NAME="{_escaped(name)}" version="2.0">',
+        f'<TEST_SPEC NAME="{html.escape(name)}" version="2.0">',
         '<INSTRUMENT MANUFACTURER="dtwin" MODEL="virtual ballbar">',
         '<DYNAMIC_BALLBAR CALIBRATION_REQUIRED="false">',
         f"<NOMINAL_LENGTH>{first.radius_mm}</NOMINAL_LENGTH>",
@@ -229,7 +241,7 @@ def write_b5r(path: Path, runs: Sequence[Run], *, name: str, machine: str) -> No
         "</TEST_SPEC>",
         "<OPERATOR>dtwin</OPERATOR>",
         f"<DATE_STARTED>{_vendor_date(first.started)}</DATE_STARTED>",
-        f'<MACHINE_TESTED NAME="{_escaped(machine)}" />',
+        f'<MACHINE_TESTED NAME="{html.escape(machine)}" />',
         "<RUN_RESULTS>",
     ]
     for run in runs:
@@ -359,12 +371,6 @@ def _vendor_date(started: str) -> str:
         return datetime.fromisoformat(started).strftime("%Y%m%d-%H%M%S")
     except ValueError:
         return ""
-
-
-def _escaped(text: str) -> str:
-    for char, entity in (("&", "&amp;"), ("<", "&lt;"), (">", "&gt;"), ('"', "&quot;")):
-        text = text.replace(char, entity)
-    return text
 
 
 _LIMITED = {"AF_BEST_RADIUS": (("D",), True), "AF_CIRCULARITY": (("G(CCW)", "G(CW)"), False)}

@@ -10,6 +10,7 @@ import csv
 import hashlib
 import io
 import json
+import re
 import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -49,6 +50,7 @@ _PLAIN = (".csv", ".tsv", ".txt", ".dat", ".log", ".parquet", *SPREADSHEETS)
 _SHOWN = 4
 # The direction is that in which the angle runs, file by file.
 _REMEMBERED = ("machine", "plane", "radius_mm", "feed_mm_min", "axis")
+_ASKED = re.compile(r"nominal|command|cmd|target|soll", re.I)
 _MARKS = {";": "semicolons", "\t": "tabs", ",": "commas", " ": "blanks"}
 
 
@@ -362,8 +364,8 @@ def _example(names: Sequence[str], columns: Sequence[Column], told: Mapping[str,
     free = [column for column in columns if column.name not in meant.columns] if any(likely(meant)) else []
     # A length is no angle.
     lacking = [name for name in meant.columns[1:] if name not in names]
-    # A column without a unit may count its rows.
-    free.sort(key=lambda column: not column.unit)
+    # A column without a unit may count its rows, and what was asked for is no reading.
+    free = sorted((c for c in free if not _ASKED.search(c.head)), key=lambda column: not column.unit)
     pairs = ((c.head, n) for n in lacking for c in free if columns_of([c.head], [c.unit], {c.head: n})[0].name)
     head, name = next(pairs, ("", ""))
     return f'--column "{head}={name}", where that is a {meant.name} test,' if head else '--column "HEAD=NAME"'

@@ -16,6 +16,8 @@ from dtwin.units import shown_number
 
 # No ball bar, laser or probe resolves less: such readings are in another unit.
 _MIN_SPREAD_UM = 0.02
+# A machine is no warmer while it is measured; as °F it is what shops have.
+_HOTTEST_C = 50.0
 # Of the span of places, by which errors that are places may differ from them.
 _SAME_PLACES = 0.01
 _READINGS = ("deviation_um", "error_um", "error_arcsec", "displacement_um")
@@ -25,7 +27,7 @@ _MANY, _CHANCE = 100, 1e-6
 
 def judge_run(run: Run) -> list[Finding]:
     """Return the findings of one run, which has its samples."""
-    return [*_too_small(run), *kind_named(run.meta.kind).judge_run(run)]
+    return [*_too_small(run), *_hot(run), *kind_named(run.meta.kind).judge_run(run)]
 
 
 def judge_campaign(runs: Sequence[Run]) -> list[Finding]:
@@ -71,6 +73,14 @@ def _too_small(run: Run) -> Iterator[Finding]:
                 f"{name} spreads by {shown_number(spread, 2)} µm RMS, less than any instrument resolves: are these millimetres?",
                 {"spread_um": spread},
             )
+
+
+def _hot(run: Run) -> Iterator[Finding]:
+    """Yield a finding for a temperature that is one of a shop in another unit."""
+    stated = run.meta.covariates.get("temperature_c", 0.0)
+    if stated > _HOTTEST_C:
+        text = f"a machine at {stated:z.1f} °C: as °F that is {(stated - 32.0) / 1.8:z.1f} °C; U and effects of heat count with what is stated"
+        yield Finding("run.temperature", "warning", text, {"temperature_c": stated})
 
 
 def judge_copies(samples_sha256: Mapping[str, str]) -> dict[str, Finding]:

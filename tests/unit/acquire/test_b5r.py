@@ -9,6 +9,7 @@ import pytest
 
 from dtwin.acquire._readings import parse_readings
 from dtwin.acquire.b5r import read_b5r, write_b5r
+from dtwin.acquire.quality import judge_run
 from dtwin.errors import InputError
 
 
@@ -65,6 +66,19 @@ def test_a_tolerance_that_is_none_is_left_away(
     level = f'<TOLERANCE LEVEL="WARNING"><LOWER_LIMIT>{low}</LOWER_LIMIT><UPPER_LIMIT>{high}</UPPER_LIMIT></TOLERANCE>'
     limits = f'<FEATURE_SPEC NAME="AF_BEST_RADIUS" DT="{unit}">{level}</FEATURE_SPEC>'
     assert "tolerances" not in read_b5r(_with_limits(real_recording, tmp_path / "a.b5r", limits)).instrument
+
+
+def test_a_scale_factor_and_a_temperature_that_may_be_in_fahrenheit_are_told(
+    real_recording: Path, tmp_path: Path
+) -> None:
+    path = tmp_path / "a.b5r"
+    text = real_recording.read_bytes().replace(b"<SCALE_FACTOR>1<", b"<SCALE_FACTOR>1.25<")
+    path.write_bytes(text.replace(b"<RUN_TEMPERATURE>20.0<", b"<RUN_TEMPERATURE>68.0<"))
+    run = read_b5r(path).runs[0]
+    assert [finding.code for finding in run.findings] == ["b5r.scale"]
+    told = {finding.code: finding.message for finding in judge_run(run)}
+    assert "as °F that is 20.0 °C" in told["run.temperature"]
+    assert "run.temperature" not in [finding.code for finding in judge_run(read_b5r(real_recording).runs[0])]
 
 
 @pytest.mark.parametrize(

@@ -367,6 +367,9 @@ def test_a_log_with_one_line_a_reading_becomes_columns_that_hold_until_the_next(
         ("Zeit [s],Taster [um]", CIRCLE, '"Taster [um]=deviation_um"'),
         # What counts the rows is no deviation.
         ("Nr.,Winkel [deg],Wert [um]", CIRCLE, '"Wert [um]=deviation_um"'),
+        # Nor is what was commanded.
+        ("X [mm],Y [mm],Z [mm],Nominal X [mm],dX [um]", {}, '"dX [um]=error_x_um"'),
+        ("Time(msec),Wert [um],Winkel [deg]", {}, '"Wert [um]=deviation_um"'),
         ("A,B", {}, '"HEAD=NAME"'),
     ],
 )
@@ -374,7 +377,7 @@ def test_the_hint_proposes_a_column_of_the_kind_that_is_meant(
     tmp_path: Path, heads: str, told: dict[str, Any], proposed: str
 ) -> None:
     path = tmp_path / "a.csv"
-    path.write_text("\n".join([heads, *(",".join("123"[: heads.count(",") + 1]) for _ in range(3))]))
+    path.write_text("\n".join([heads, *(",".join("12345"[: heads.count(",") + 1]) for _ in range(3))]))
     with pytest.raises(InputError) as refused:
         understand(path, Home(tmp_path / "home"), told, {})
     assert proposed in str(refused.value.hint)
