@@ -263,10 +263,10 @@ class Kind:
         """Return the figures of one sound run, JSON-ready."""
         return self._done("run_figures")(run) if "run_figures" in self.places else {}
 
-    def campaign_figures(self, runs: Sequence[Run]) -> Mapping[str, Any]:
-        """Return the figures of a campaign, JSON-ready; what does it gives those of ``told_as``."""
+    def campaign_figures(self, runs: Sequence[Run], progress: Progress | None = None) -> Mapping[str, Any]:
+        """Return the figures of a campaign, JSON-ready; what does it gives those of ``told_as``. ``progress``: of what takes long."""
         told_as = self.told_as or self.name
-        return {told_as: self._done("campaign_figures")(runs)} if "campaign_figures" in self.places else {}
+        return {told_as: self._done("campaign_figures")(runs, progress)} if "campaign_figures" in self.places else {}
 
     def figure_lines(self, result: Mapping[str, Any]) -> list[str]:
         """Return the text of what a check found, besides that of each run; what does it takes the figures of ``told_as``."""

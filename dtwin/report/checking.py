@@ -169,7 +169,7 @@ def _checked(
         machine = campaign.machine
         sheet = {"sheet": sheet_of(kind, campaign, light, tolerances(machine), surroundings(machine))}
     return {
-        **kind.campaign_figures(of_one_way(light)),
+        **kind.campaign_figures(of_one_way(light), progress),
         **sheet,
         "source": source,
         "campaign": campaign.name,

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from dtwin.kinds.machine import VirtualMachine
     from dtwin.physics.effect import Effect
     from dtwin.physics.grid import Grid, Row
+    from dtwin.progress import Progress
     from dtwin.report.twin_of_kind import TwinReport
     from dtwin.serve.bundle import Bundle
     from dtwin.train.champion_error import RunError
@@ -47,7 +48,7 @@ class Turntable(Kind):
             return []
         return [Finding("turntable.short", "error", "fewer than 36 places of the turn")]
 
-    def campaign_figures(self, runs: Sequence[Run]) -> Mapping[str, Any]:
+    def campaign_figures(self, runs: Sequence[Run], progress: Progress | None = None) -> Mapping[str, Any]:
         spans = {run.meta.run_id: float(np.ptp(run.samples["error_um"])) for run in runs}
         return {"span_um": spans}
 

@@ -12,6 +12,7 @@ from dtwin.kinds.drift._diagnosis import beside_noise
 from dtwin.kinds.drift._model import Fitted, Series, Term, series_of, shifts, steady
 from dtwin.kinds.drift._search import Step, missing
 from dtwin.kinds.drift._standing import probe_standing
+from dtwin.progress import Progress
 from dtwin.report.text import decimals, table
 from dtwin.schema import Finding, Run
 from dtwin.statistics import f_tail
@@ -161,9 +162,9 @@ def _unit(ratio: float) -> float:
     return next((unit for unit in _UNITS if abs(off - np.log(unit)) < np.log1p(_NEAR)), 0.0)
 
 
-def drift_figures(runs: Sequence[Run]) -> dict[str, Any]:
+def drift_figures(runs: Sequence[Run], progress: Progress | None = None) -> dict[str, Any]:
     """Return what each log follows, JSON-ready: steady temperatures first, then what that lacks."""
-    return {run.meta.run_id: _figures(run) for run in runs}
+    return {run.meta.run_id: _figures(run, progress) for run in runs}
 
 
 def drift_lines(result: Mapping[str, Any]) -> list[str]:
@@ -187,7 +188,7 @@ def _row(name: str, model: Mapping[str, Any]) -> list[str]:
     return [name, f"{model['left_um']:z.2f}", f"{model['held_out_um']:z.2f}", f"{model['r2']:z.4f}", told]
 
 
-def _figures(run: Run) -> dict[str, Any] | None:
+def _figures(run: Run, progress: Progress | None) -> dict[str, Any] | None:
     if any(f.severity == "error" for f in [*run.findings, *judge_drift(run)]):
         return None
     series = series_of(run)
@@ -195,7 +196,7 @@ def _figures(run: Run) -> dict[str, Any] | None:
         return None
     base = steady(series)
     stands = any(f.code == "drift.sensor_stands" for f in run.findings)
-    steps = [] if stands else missing(series, base)
+    steps = [] if stands else missing(series, base, progress)
     last = steps[-1].fitted if steps else base
     return {
         "readings": len(series.t_s),

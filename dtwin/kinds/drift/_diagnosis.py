@@ -124,7 +124,7 @@ def diagnose(series: Series, terms: Sequence[Term]) -> DriftDiagnosis:
         verdict, said = beside_noise(series, figures["held_out_rms_um"])
         if verdict == "unknown_effect":
             known = next((one.by_time for one in tried if one.by_time is not None), None)
-            before, after = held_out(series, terms), left_with_time(series, terms) if known is None else known
+            before, after = held_out(series, terms).squares, left_with_time(series, terms) if known is None else known
             if gain_tail(before, after) < ALPHA and (share := share_taken(before, after)) > MATERIAL:
                 said += f"; {TIME_ALONE} takes {100.0 * share:z.0f} % of the squares: something settles, or follows a body without a sensor"
     return DriftDiagnosis(verdict, said, figures, tuple(tried), group, idle(series, terms))

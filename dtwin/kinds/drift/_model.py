@@ -15,12 +15,15 @@ import numpy as np
 from dtwin.errors import InputError
 from dtwin.features import time_alone
 from dtwin.features.time_alone import ALPHA, MATERIAL, share_taken
+from dtwin.kinds.drift._held_out import HeldOut
 from dtwin.schema import Floats, Run
 from dtwin.statistics import gain_tail, t_quantile, usual_size
 from dtwin.units import shown_number
 
 _BLOCKS = 24
 _DIGITS = 4
+ALIKE = 1e-9
+"""Share of squares that is rounding."""
 _FEWEST_EVEN = 100
 # A step of a probe: times the usual step, times the largest of so many beside it, of the whole range, and of it what stays;
 # between readings that are not farther apart than so many times the usual.
@@ -200,8 +203,8 @@ def fitted(series: Series, terms: Sequence[Term]) -> Fitted:
     # A jackknife over blocks: readings near in time err alike. Time constants move along, in first order, for they were fitted, too.
     late = [n for n, term in enumerate(terms) if term.tau_s]
     moving = [value[1 + n] * _by_time(series, terms[n]) for n in late]
-    each = _without_each(series, np.column_stack([x, *moving]))[0]
-    squares, blocks = _without_each(series, x)[1], len(each)
+    each = HeldOut(np.column_stack([x, *moving]), y, series.block).values
+    squares, blocks = HeldOut(x, y, series.block).squares, len(each)
     apart = each - each.mean(axis=0)
     off = apart**2
     spread = (blocks - 1) / blocks * off.sum(axis=0)
@@ -234,56 +237,50 @@ def left_of(series: Series, terms: Sequence[Term], per_kelvin: Floats) -> tuple[
 def steady(series: Series) -> Fitted:
     """Return all temperatures, each taken at once, less those that do not pay on blocks held out."""
     chosen = [Term("steady", channel) for channel in series.temperatures_c]
-    now = held_out(series, chosen)
     while chosen:
-        without = [held_out(series, [t for t in chosen if t != term]) for term in chosen]
-        least = int(np.argmin([left.sum() for left in without]))
+        model = held_out(series, chosen)
+        now, without = model.squares, without_each(model, chosen)
+        sums = without.sum(axis=1)
+        # Of sensors that read the same, the first one stays.
+        least = int(np.flatnonzero(sums <= (1.0 + ALIKE) * sums.min())[-1])
         if share_taken(without[least], now) > MATERIAL and gain_tail(without[least], now) < ALPHA:
             break
         chosen.pop(least)
-        now = without[least]
     return fitted(series, chosen)
 
 
 def held_out_um(series: Series, terms: Sequence[Term]) -> Floats:
     """Return what is left of each reading by terms that were fitted without its block, shape (n,)."""
     x = _design(series, terms)
-    values, _ = _without_each(series, x)
+    values = HeldOut(x, series.moved_um, series.block).values
     return np.asarray(series.moved_um - (x * values[series.block]).sum(axis=1))
 
 
-def held_out(series: Series, terms: Sequence[Term], blocks: int = _BLOCKS) -> Floats:
-    """Return the squares that are left in each block when it was held out, µm²; ``blocks``: fewer are longer."""
-    return _without_each(series, _design(series, terms), blocks)[1]
+def held_out(series: Series, terms: Sequence[Term], blocks: int = _BLOCKS) -> HeldOut:
+    """Return terms fitted without each block; ``blocks``: fewer are longer."""
+    return HeldOut(_design(series, terms), series.moved_um, series.block * blocks // _BLOCKS)
+
+
+def with_each(series: Series, model: HeldOut, more: Sequence[Term]) -> Floats:
+    """Return the squares of a model with each of further terms beside it, shape (terms, blocks), µm²."""
+    return model.with_each(np.array([series.column(term) for term in more]).reshape(len(more), series.t_s.size).T)
+
+
+def without_each(model: HeldOut, terms: Sequence[Term]) -> Floats:
+    """Return the squares of a model of terms without each of them, shape (terms, blocks), µm²."""
+    return model.without_each(range(1, 1 + len(terms)))
 
 
 def left_with_time(series: Series, terms: Sequence[Term]) -> Floats:
     """Return the least squares in each block held out with a course of time beside the terms: straight, or an exponential."""
-    design = _design(series, terms)
-    return time_alone.left_with_time(
-        series.t_s, lambda course: _without_each(series, np.column_stack([design, course]))[1]
-    )
+    model = held_out(series, terms)
+    return time_alone.left_with_time(series.t_s, lambda course: np.asarray(model.with_each(course[:, None])[0]))
 
 
 def _by_time(series: Series, late: Term) -> Floats:
     """Return the derivative of the column of a lag by the logarithm of its time constant."""
     step = 0.01
     return (series.column(replace(late, tau_s=late.tau_s * (1.0 + step))) - series.column(late)) / step
-
-
-def _without_each(series: Series, x: Floats, most: int = _BLOCKS) -> tuple[Floats, Floats]:
-    """Return the values of the columns ``x`` fitted without each block, and the squares that they leave in it."""
-    whole = np.column_stack([x, series.moved_um])
-    block_of = series.block * most // _BLOCKS
-    blocks = int(block_of.max()) + 1
-    # Triangles of the blocks give the squares of all readings.
-    parts: list[Floats] = [np.asarray(np.linalg.qr(whole[block_of == b], mode="r")) for b in range(blocks)]
-    values, squares = np.empty((blocks, x.shape[1])), np.empty(blocks)
-    for block, part in enumerate(parts):
-        others = np.concatenate([*parts[:block], *parts[block + 1 :]])
-        values[block] = np.linalg.lstsq(others[:, :-1], others[:, -1], rcond=None)[0]
-        squares[block] = float(((part[:, -1] - part[:, :-1] @ values[block]) ** 2).sum())
-    return values, squares
 
 
 def _design(series: Series, terms: Sequence[Term]) -> Floats:

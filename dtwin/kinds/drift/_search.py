@@ -9,7 +9,18 @@ from functools import cached_property
 import numpy as np
 
 from dtwin.features.time_alone import ALPHA, MATERIAL, TIME_ALONE, is_no_less, needed, share_taken
-from dtwin.kinds.drift._model import Fitted, Series, Term, fitted, held_out, left_with_time
+from dtwin.kinds.drift._model import (
+    ALIKE,
+    Fitted,
+    Series,
+    Term,
+    fitted,
+    held_out,
+    left_with_time,
+    with_each,
+    without_each,
+)
+from dtwin.progress import Progress
 from dtwin.schema import Floats
 from dtwin.statistics import gain_tail
 
@@ -33,7 +44,7 @@ class Step:
     p_value: float
 
 
-def missing(series: Series, base: Fitted) -> list[Step]:
+def missing(series: Series, base: Fitted, progress: Progress | None = None) -> list[Step]:
     """Return what a model of steady temperatures lacks, step by step: lags, curves of sensors, further sensors.
 
     The search begins with every sensor, as that of a twin does: beside a lag that is not yet there, a sensor that is needed
@@ -43,7 +54,9 @@ def missing(series: Series, base: Fitted) -> list[Step]:
     added: list[str] = []
     terms: tuple[Term, ...] = tuple(Term("steady", channel) for channel in series.temperatures_c)
     seen = {term.channel for term in base.terms}
-    for _ in range(MOST_RUNGS):
+    for done in range(MOST_RUNGS):
+        if progress is not None:
+            progress(done, MOST_RUNGS, f"search, {len(terms)} sensors")
         best = next((one for one in additions(series, terms) if one.pays), None)
         gone = idle(series, terms) if best is None else ()
         if best is None and not gone:
@@ -58,6 +71,8 @@ def missing(series: Series, base: Fitted) -> list[Step]:
         said = f"{best.said} or {TIME_ALONE}" if best.is_as_time else best.said
         out.append(Step(model, said, best.gain, best.p_value))
         added.append(best.added.channel)
+    if progress is not None:
+        progress(MOST_RUNGS, MOST_RUNGS, "search")
     last = {term.channel for term in out[-1].fitted.terms} if out else set()
     told: list[Step] = []
     for step, channel in zip(out, added, strict=True):
@@ -139,7 +154,8 @@ class Addition:
 
 def additions(series: Series, terms: Sequence[Term]) -> list[Addition]:
     """Return what a model may lack, those that leave least first: lags, curves of sensors, further sensors."""
-    before = held_out(series, terms)
+    model = held_out(series, terms)
+    before = model.squares
     tried: list[tuple[Floats, tuple[Term, ...], Term, str]] = []
     for i, term in enumerate(terms):
         others = (*terms[:i], *terms[i + 1 :])
@@ -158,13 +174,12 @@ def additions(series: Series, terms: Sequence[Term]) -> list[Addition]:
                 )
             )
     used = {term.channel for term in terms}
-    for channel in series.temperatures_c:
-        term = Term("curve" if channel in used else "steady", channel)
-        if term not in terms:
-            left = held_out(series, (*terms, term))
-            said = f"{'the curve of the sensor' if channel in used else 'the sensor'} {term.name}"
-            tried.append((left, (*terms, term), term, said))
-    far = held_out(series, terms, _LONG)
+    more = [Term("curve" if channel in used else "steady", channel) for channel in series.temperatures_c]
+    more = [term for term in more if term not in terms]
+    for term, left in zip(more, with_each(series, model, more), strict=True):
+        said = f"{'the curve of the sensor' if term.channel in used else 'the sensor'} {term.name}"
+        tried.append((left, (*terms, term), term, said))
+    far = held_out(series, terms, _LONG).squares
     further = any(term.kind == "steady" for _, _, term, _ in tried)
     by_time = left_with_time(series, terms) if further else None
     made = [
@@ -175,13 +190,14 @@ def additions(series: Series, terms: Sequence[Term]) -> list[Addition]:
             said,
             share_taken(before, left),
             min(1.0, len(tried) * gain_tail(before, left)),
-            share_taken(far, held_out(series, new, _LONG)),
+            share_taken(far, held_out(series, new, _LONG).squares),
             by_time if term.kind == "steady" else None,
             series,
         )
         for left, new, term, said in tried
     ]
-    return sorted(made, key=lambda one: float(one.left.sum()))
+    # What leaves as much but for rounding stays in the order of the log.
+    return sorted(made, key=lambda one: round(float(one.left.sum()) / max(float(before.sum()), 1e-300) / ALIKE))
 
 
 def best_lag(series: Series, others: Sequence[Term], late: Term) -> Term:
@@ -197,10 +213,11 @@ def _lags(series: Series, others: Sequence[Term], kind: str, channel: str) -> tu
     """
     made: list[Term] = []
     each: list[Floats] = []
+    model = held_out(series, others)
     tried = np.array(_TAUS_S)
     for finer in (*_FINER, None):
         made += [Term(kind, channel, float(tau)) for tau in tried]
-        each += [held_out(series, (*others, one)) for one in made[len(each) :]]
+        each += list(with_each(series, model, made[len(each) :]))
         if finer is not None:
             tried = made[int(np.argmin(np.array(each).sum(axis=1)))].tau_s * finer
     return made, np.array(each)
@@ -208,6 +225,6 @@ def _lags(series: Series, others: Sequence[Term], kind: str, channel: str) -> tu
 
 def idle(series: Series, terms: Sequence[Term]) -> tuple[Term, ...]:
     """Return the terms each of which pays nothing beside the others."""
-    now = held_out(series, terms)
-    without = {term: held_out(series, [t for t in terms if t != term]) for term in terms}
-    return tuple(t for t, left in without.items() if not needed(left, now, _SURELY))
+    model = held_out(series, terms)
+    without = without_each(model, terms)
+    return tuple(t for t, left in zip(terms, without, strict=True) if not needed(left, model.squares, _SURELY))

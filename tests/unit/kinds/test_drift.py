@@ -17,6 +17,7 @@ from dtwin.errors import InputError
 from dtwin.kinds.drift._check import drift_figures, judge_campaign_drift, judge_drift
 from dtwin.kinds.drift._data import longest_first, of_twin
 from dtwin.kinds.drift._diagnosis import diagnose
+from dtwin.kinds.drift._held_out import HeldOut
 from dtwin.kinds.drift._model import Series, Term, fitted, series_of, steady
 from dtwin.kinds.drift._read import _read_drift, is_drift_log
 from dtwin.kinds.drift._search import additions, idle, missing
@@ -191,6 +192,43 @@ def test_a_model_fits_as_least_squares_do() -> None:
     terms = [Term("steady", "temperature_frame_c"), Term("steady", "temperature_bed_c")]
     x = np.column_stack([np.ones(len(made.t_s)), *made.temperatures_c.values()])
     assert fitted(made, terms).value == pytest.approx(np.linalg.lstsq(x, made.moved_um, rcond=None)[0], rel=1e-6)
+
+
+@pytest.mark.parametrize("twice", [False, True], ids=["sensors of their own", "one sensor twice"])
+def test_a_column_more_or_less_leaves_what_a_model_with_or_without_it_leaves(twice: bool) -> None:
+    rng = np.random.default_rng(0)
+    x = np.column_stack([np.ones(150), 20.0 + np.cumsum(rng.normal(0.0, 0.1, (150, 4)), axis=0)])
+    y = x @ rng.normal(0.0, 1.0, 5) + rng.normal(0.0, 0.5, 150)
+    if twice:
+        x[:, 4] = x[:, 2]
+    block = np.arange(150) * 7 // 150
+
+    def left(columns: list[int]) -> list[float]:
+        squares = []
+        for number in range(7):
+            held, used = block == number, x[:, columns]
+            value = np.linalg.lstsq(used[~held], y[~held])[0]
+            squares.append(float(((y[held] - used[held] @ value) ** 2).sum()))
+        return squares
+
+    model = HeldOut(x[:, :3], y, block)
+    assert model.squares == pytest.approx(left([0, 1, 2]))
+    assert model.with_each(x[:, 3:]) == pytest.approx(np.array([left([0, 1, 2, 3]), left([0, 1, 2, 4])]))
+    expected = np.array([left([c for c in range(5) if c != column]) for column in range(1, 5)])
+    assert HeldOut(x, y, block).without_each(range(1, 5)) == pytest.approx(expected)
+
+
+def test_of_sensors_that_read_the_same_the_first_is_named_and_the_search_tells_how_far_it_is() -> None:
+    made = series(0)
+    frame = made.temperatures_c["temperature_frame_c"]
+    twice = replace(made, temperatures_c={**made.temperatures_c, "temperature_twin_c": frame.copy()})
+    base = steady(twice)
+    told: list[tuple[int, int]] = []
+    steps = missing(twice, base, lambda done, total, what: told.append((done, total)))
+    assert [term.name for term in base.terms] == ["frame", "bed"]
+    assert [step.said for step in steps] == ["the lag of frame"]
+    assert told[0][0] == 0
+    assert told[-1][0] == told[-1][1]
 
 
 def test_a_lag_of_any_time_leaves_no_other_name() -> None:
