@@ -11,6 +11,7 @@ from dtwin.errors import GateRefusal
 from dtwin.kinds.registry import kind_named
 from dtwin.lake.store import Lake
 from dtwin.physics import localise
+from dtwin.physics.centres import without_centre
 from dtwin.physics.cross_validation import left_out_gain
 from dtwin.physics.diagnosis import Diagnosis
 from dtwin.physics.effect import Instance
@@ -19,6 +20,7 @@ from dtwin.physics.observations import Observations
 from dtwin.physics.problem import Term, set_up
 from dtwin.physics.several_diagnosis import SeveralDiagnosis
 from dtwin.physics.twin import predict_um
+from dtwin.physics.whitening import from_harmonics, to_harmonics
 from dtwin.schema import Floats
 from dtwin.train.residual_formula import place_map, search_residual
 from dtwin.train.symbolic import Engine
@@ -150,7 +152,13 @@ def _unknown(twins: AnyTwins, name: str, seed: int) -> _Unknown:
 
 
 def _together(tests: Sequence[Observations]) -> Observations:
-    """Return the runs of several tests on one grid as one: equal conditions are one, set-ups and runs stay apart."""
+    """Return the runs of several tests on one grid as one: equal conditions are one, set-ups and runs stay apart.
+
+    Where the centre of one test wanders, none of them tells of it: a centre of one cannot be held against that of another.
+    """
+    wander_um = max(obs.wander_um for obs in tests)
+    if wander_um:
+        tests = [obs.with_y(from_harmonics(without_centre(to_harmonics(obs.y_um)))) for obs in tests]
     conditions = tuple(dict.fromkeys(c for obs in tests for c in obs.conditions))
     setups = [f"{obs.campaign.name} {setup}" for obs in tests for setup in obs.setups]
     first_setup = np.cumsum([0, *(len(obs.setups) for obs in tests[:-1])])
@@ -159,6 +167,7 @@ def _together(tests: Sequence[Observations]) -> Observations:
         tests[0],
         campaign=replace(tests[0].campaign, name=", ".join(obs.campaign.name for obs in tests)),
         runs=tuple(meta for obs in tests for meta in obs.runs),
+        wander_um=wander_um,
         y_um=np.concatenate([obs.y_um for obs in tests]),
         mask=np.concatenate([obs.mask for obs in tests]),
         conditions=conditions,

@@ -15,7 +15,9 @@ from dtwin.physics.library import Library
 from dtwin.physics.localise import residual_um
 from dtwin.physics.observations import Observations, observe
 from dtwin.physics.problem import Term
+from dtwin.physics.whitening import to_harmonics
 from dtwin.schema import Campaign, Direction, Floats, Run, RunMeta
+from dtwin.twins.learn import _together
 
 LIBRARY = Library()
 WAYS: tuple[tuple[float, Direction], ...] = ((1.0, "CCW"), (-1.0, "CW"))
@@ -62,6 +64,19 @@ def test_a_centre_that_wanders_costs_nothing_that_is_told() -> None:
     for told, truth in zip(fit(wandering, terms, refine=False).estimates, (20.0, 2.0), strict=True):
         assert abs(told.value) == pytest.approx(truth, abs=1.5 * told.uncertainty)
         assert told.uncertainty < 0.05 * truth
+
+
+@pytest.mark.parametrize("order", [(0, 1), (1, 0)], ids=["the second wanders", "the first wanders"])
+def test_tests_of_which_one_wanders_are_learned_from_without_their_centres(order: tuple[int, int]) -> None:
+    rng = np.random.default_rng(5)
+    still = measured(lambda hour: np.array([4.0, 0.0]), feeds=(500.0,))
+    tests = [still, measured(lambda hour: 3.0 * rng.standard_normal(2))]
+    joined = _together([tests[number] for number in order])
+    assert joined.wander_um == tests[1].wander_um > 0.0
+    harmonics = to_harmonics(joined.y_um)
+    np.testing.assert_allclose(harmonics[:, 1:3], 0.0, atol=1e-9)
+    assert np.abs(harmonics[:, 3:5]).max() > 1.0
+    assert _together([still, still]).wander_um == 0.0
 
 
 def test_what_moves_a_centre_that_wanders_anyway_is_not_told() -> None:
