@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import os
+import signal
 import socket
 import subprocess
 import sys
@@ -12,16 +13,21 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
+_ENDED = "ZX"
+_SET_SIGNAL_OF_PARENTS_END = 1
+
 
 def process(pid: int | None = None) -> str:
     """Return host, number and start of a process, this one by default.
 
-    The start tells a process from a later one with the same number; it is 0 for one that is gone.
+    The start tells a process from a later one with the same number; it is 0 for one that is gone, or that ended and nobody
+    asks for its exit code, as in a container without an init.
     """
     number = os.getpid() if pid is None else pid
     try:
         stat = Path(f"/proc/{number}/stat").read_text(encoding="utf-8")
-        start = stat.rpartition(")")[2].split()[19]
+        fields = stat.rpartition(")")[2].split()
+        start = "0" if fields[0] in _ENDED else fields[19]
     except (OSError, IndexError):
         start = "0"
     return f"{socket.gethostname().replace(' ', '-')} {number} {start}"
@@ -61,6 +67,14 @@ def running_beside(module: str, *arguments: str) -> Iterator[None]:
             yield
         finally:
             child.terminate()
+
+
+def end_with(parent: int) -> None:
+    """End this process, a worker of a pool, when the thread of ``parent`` that began it ends, however that ends: a pool's worker waits for ever."""
+    with suppress(OSError, AttributeError):
+        ctypes.CDLL(None).prctl(_SET_SIGNAL_OF_PARENTS_END, signal.SIGKILL, 0, 0, 0)
+    if os.getppid() != parent:
+        os._exit(1)
 
 
 def processors() -> int:

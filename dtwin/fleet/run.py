@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import multiprocessing
+import os
 from collections.abc import Callable, Collection, Iterator, Mapping
 from concurrent.futures import (
     FIRST_COMPLETED,
@@ -24,7 +25,7 @@ from dtwin.errors import DtwinError, InputError, Interrupted, StoreError
 from dtwin.fleet.jobs import Job, Unit
 from dtwin.locks import locked
 from dtwin.own_address import names_this_computer
-from dtwin.processes import processors
+from dtwin.processes import end_with, processors
 from dtwin.progress import Progress
 
 _TRIES = 3
@@ -240,7 +241,8 @@ def _local(workers: int) -> Iterator[Engine]:
         yield Engine(_InLine(), 1)
         return
     # Not forked: a copy of a process with threads may hold a lock that nobody opens again.
-    pool = ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn"))
+    spawn = multiprocessing.get_context("spawn")
+    pool = ProcessPoolExecutor(workers, mp_context=spawn, initializer=end_with, initargs=(os.getpid(),))
     try:
         yield Engine(pool, 2 * workers)
     finally:

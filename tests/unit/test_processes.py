@@ -1,6 +1,9 @@
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
+import time
 from collections import OrderedDict
 from pathlib import Path
 
@@ -21,6 +24,43 @@ def test_a_process_is_told_from_a_later_one_with_its_number() -> None:
     assert is_gone(f"{host} 4194305 17")
     assert not is_gone(f"elsewhere {number} 1")
     assert not is_gone("")
+
+
+_POOL = """
+import os, signal
+from concurrent.futures import ProcessPoolExecutor
+from dtwin.processes import end_with, process
+
+def work(_):
+    os.write(1, f"{process()}\\n".encode())
+    signal.pause()
+
+with ProcessPoolExecutor(2, initializer=end_with, initargs=(os.getpid(),)) as pool:
+    list(pool.map(work, range(2)))
+"""
+
+
+def test_workers_of_a_pool_end_with_a_process_that_is_killed() -> None:
+    with subprocess.Popen([sys.executable, "-c", _POOL], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as parent:
+        assert parent.stdout is not None
+        workers = [parent.stdout.readline().decode().strip() for _ in range(2)]
+        there = not any(map(is_gone, workers))
+        parent.kill()
+        assert there
+        for _ in range(2000):
+            if all(map(is_gone, workers)):
+                break
+            time.sleep(0.01)
+        assert all(map(is_gone, workers))
+
+
+def test_a_process_that_ended_is_gone_though_nobody_asked_for_its_exit_code() -> None:
+    with subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE) as child:
+        there = process(child.pid)
+        assert not is_gone(there)
+        child.kill()
+        os.waitid(os.P_PID, child.pid, os.WEXITED | os.WNOWAIT)
+        assert is_gone(there)
 
 
 def _resident_mb() -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -17,7 +18,7 @@ from dtwin.acquire.virtual import EPOCH, run_of
 from dtwin.kinds.machine import EvidenceRequest
 from dtwin.machines.cobot import CircleCondition, CobotRecording, RunTicks, VirtualCobot
 from dtwin.plan import DEFAULT_EVIDENCE, EvidencePlan, plan_within
-from dtwin.processes import processors
+from dtwin.processes import end_with, processors
 from dtwin.progress import Progress
 from dtwin.schema import Direction, Floats, Run
 from dtwin.serve.bundle import Bundle
@@ -56,7 +57,7 @@ def measured_circles(
     jobs = [(bundle.to_dict(), seed, tcp_mm.tolist(), condition, plan.repeats) for condition in plan.conditions]
     ways: dict[str, list[Run]] = {"measured": [], "oracle": []}
     acted: dict[str, dict[str, float]] = {}
-    with ProcessPoolExecutor(processors()) as pool:
+    with ProcessPoolExecutor(processors(), initializer=end_with, initargs=(os.getpid(),)) as pool:
         for done, found in enumerate(pool.map(_measure_condition, jobs), start=1):
             plane, radius, feed = plan.conditions[done - 1]
             condition = {"plane": plane, "radius_mm": radius, "feed_mm_min": feed}
