@@ -148,20 +148,24 @@ def _other_formulas(test: LinearTest, title: str) -> list[str]:
 
 
 def positioning_figure(runs: Sequence[Run], scale: Scale = LENGTHS) -> go.Figure:
-    """Draw the mean of each direction over the position."""
+    """Draw the mean of each direction over the position, with two standard deviations of the runs at each target."""
     ways = ways_of(runs[0])
     test = linear_test(runs, ways, scale)
     if not test.position_mm.size:
         raise InputError("no target was read in every run from both sides", code="sheet.targets")
-    means = zip(ways, (test.forward_um.mean(axis=1), test.reverse_um.mean(axis=1)), strict=True)
-    count = f"{len(runs)} run{'s' if len(runs) > 1 else ''}"
-    named = {f"{way}, mean of {count}": (test.position_mm, mean) for way, mean in means}
+    count = "1 run" if len(runs) == 1 else f"{len(runs)} runs ± 2 s"
+    # Of one direction both are the same.
+    errors = {f"{way}, mean of {count}": e for way, e in zip(ways, (test.forward_um, test.reverse_um), strict=True)}
     figure = error_figure(
-        named,
+        {name: (test.position_mm, error.mean(axis=1)) for name, error in errors.items()},
         title=f"Deviation of axis {test.axis}",
         x_title=f"position, {scale.unit}",
         y_title=f"deviation, {scale.fine}",
     )
+    for trace, error in zip(figure.data, errors.values(), strict=True):
+        trace.update(mode="lines+markers", marker_size=5)
+        if len(runs) > 1 and len(trace.y) == len(error):
+            trace.error_y = {"array": 2.0 * error.std(axis=1, ddof=1), "width": 2, "thickness": 1}
     if scale.turn and np.ptp(test.position_mm) > scale.turn / 2:
         figure.update_xaxes(dtick=scale.turn / 8)
     return figure

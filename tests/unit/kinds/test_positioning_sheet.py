@@ -77,7 +77,10 @@ def test_one_direction_has_its_own_figures(way: str, arrow: str) -> None:
     }
     # As all targets scatter alike, the scatter is that of 11 targets; of runs as wholes it is that of five runs.
     assert all(c.expanded_um > 0.0 and 4.0 < c.dof <= 44.0 for c in part.characteristics)
-    assert len(positioning_figure(runs).data) == 1
+    # As the standard draws it: the mean at each target, and two standard deviations of what the runs read there.
+    (drawn,) = positioning_figure(runs).data
+    assert drawn.y == pytest.approx(mean, abs=1e-4)
+    assert drawn.error_y.array == pytest.approx(2.0 * deviation)
 
 
 def test_an_axis_of_both_directions_leaves_others_out() -> None:
