@@ -245,6 +245,8 @@ def ranked_figure(diagnosis: Mapping[str, Any], library: Mapping[str, Effect] | 
             orientation="h",
             marker_color=[COLOURS["measured"] if c["in_group"] else "#BBBBBB" for c in rows],
             text=[f"{micrometres(c['rms_after_um'])} µm" for c in rows],
+            # Where the bars end, the line of what is left now stands.
+            insidetextanchor="start",
             name="after adding",
         )
     )
