@@ -7,12 +7,14 @@ from collections import Counter
 from collections.abc import Sequence
 from itertools import zip_longest
 
+from dtwin.acquire.axis_titles import axis_of
 from dtwin.acquire.foreign_columns import is_number
 from dtwin.acquire.table_dialect import SUMMARY
 from dtwin.positioning._report_tables import name_of
 from dtwin.positioning.table_heads import (
     AXIS,
     MOST_TITLES,
+    SUMS_UP,
     UNIT_INSIDE,
     by_way_of,
     is_row_of_units,
@@ -109,10 +111,18 @@ def _one_reading_a_row(
     if body and is_row_of_units(body[0], target):
         out.append((body[0][target], "", "", "".join(body[0][cycles[0][0] :][:1])))
     last = ""
-    for row in (row for row in body if way < len(row) and way_of(row[way]) is not None):
+    for row in (row for row in body if way < len(row) and row[way].strip() and _is_reading(row, way, cycles[0][0])):
         last = row[target].strip() or last
         out += [(last, row[way], str(cycle), row[i]) for i, cycle in cycles if i < len(row)]
     return out
+
+
+def _is_reading(row: Sequence[str], way: int, first: int) -> bool:
+    """Return whether a row is one of readings, also where its direction is not known; rows that sum up others are none."""
+    told = row[way].strip()
+    return way_of(told) is not None or (
+        not SUMMARY.fullmatch(told) and not SUMS_UP.search(told) and first < len(row) and is_number(row[first])
+    )
 
 
 def _below_titles(rows: Sequence[Sequence[str]]) -> list[Sequence[str]] | None:
@@ -152,6 +162,32 @@ def _unit_last(head: str) -> str:
     """Return a head of two rows with the unit at its end: ``forward [µm] 1`` becomes ``forward 1 [µm]``."""
     unit = UNIT_INSIDE.search(head)
     return head if unit is None else f"{head[: unit.start()]}{head[unit.end() :]} {unit[0].strip()}"
+
+
+def rows_of_axis(rows: Sequence[Sequence[str]], axis: str) -> tuple[list[Sequence[str]], list[str]]:
+    """Return a table without the rows that its column of axes says are of others, and what it says; any other table as it is."""
+    for begin, row in enumerate(rows[:MOST_TITLES]):
+        columns = [i for i, head in enumerate(row) if AXIS.match(head.strip())]
+        if columns:
+            body, asked = rows[begin + 1 :], axis.upper()
+            told_in = {i: {line[i].strip().upper() for line in body if i < len(line)} - {""} for i in columns}
+            # Several that are alike have names, or numbers, of any kind.
+            called = [
+                i for i in columns if len(told_in[i]) > 1 and asked in told_in[i] and not axis_of(axis, bare=True)
+            ]
+            letters = [i for i in columns if any(axis_of(cell, bare=True) for cell in told_in[i])]
+            column = [*called, *letters, *columns][0]
+            kept, mine = list(rows[: begin + 1]), True
+            told: dict[str, None] = {}
+            for line in body:
+                # Of merged cells the first alone is filled.
+                cell = line[column].strip() if column < len(line) else ""
+                named = cell.upper() if called else axis_of(cell, bare=True)
+                mine = named == asked if named else mine
+                told |= {named: None} if named else {}
+                kept += [line] if mine else []
+            return (kept if asked in told else list(rows)), list(told)
+    return list(rows), []
 
 
 def told_apart(table: Sequence[Sequence[str]]) -> str:

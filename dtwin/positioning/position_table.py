@@ -34,7 +34,7 @@ from dtwin.acquire.xmlsafe import number_or_none
 from dtwin.errors import InputError
 from dtwin.positioning._angles import angles_as_targets, is_angle, of_angles, with_degrees
 from dtwin.positioning._one_place import joined_targets, one_place, probings_of, trials_of, with_joined_targets
-from dtwin.positioning._plain_table import table_of, told_apart
+from dtwin.positioning._plain_table import rows_of_axis, table_of, told_apart
 from dtwin.positioning._refusals import (
     LITTLE,
     of_other_unit,
@@ -77,7 +77,6 @@ from dtwin.positioning.table_heads import (
     names_target,
     other_targets,
     plain_unit,
-    rows_of_axis,
     told_unit,
     wide_of,
 )

@@ -8,7 +8,6 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from dtwin.acquire.axis_titles import axis_of
 from dtwin.acquire.foreign_columns import REVERSED, is_number
 from dtwin.acquire.table_dialect import STATISTICS
 from dtwin.positioning.matrix import names_sense
@@ -49,7 +48,7 @@ _ONE = r"(?![a-z])(?![\s_]*[xyz](?![a-z]))"
 """Behind a word that is cut short, which with a letter of an axis is a part of a place: ``cmd_z_mm``."""
 _WANTED = rf"set ?point|set(?=[\s_]*pos|[\s_]*[\[(]?({_UNITS})\b)|(demand|desired|requested|goal){_ONE}"
 _TARGET = re.compile(
-    rf"^(i\b|[px]_?i\b|target|tgt|nominal|command|cmd(pos)?{_ONE}|position|pos|{_WANTED}|soll|ziel|punkt|cible|consigne|目标|目標|指令)",
+    rf"^(i\b|[px]_?i\b|target|tgt|nominal|command|cmd(pos)?{_ONE}|position|pos(?!itiv)|{_WANTED}|soll|ziel|punkt|cible|consigne|目标|目標|指令)",
     re.I,
 )
 _SURELY_TARGET = re.compile(
@@ -63,7 +62,7 @@ _COUNTED = re.compile(r"(target|point|punkt|pos\w*|soll\w*|ziel\w*)[ ._]+i", re.
 _DEVIATION = re.compile(r"dev(?!ic)|err|abw|fehler|[eé]cart|scost|desv|偏差|误差|誤差", re.I)
 _CORRECTION = re.compile(r"(correction|compensation|korrektur|kompensation)\b", re.I)
 _NOT_READ = re.compile(
-    r"toleran[cz]|\blimit|grenz(e|wert)|allow|zul[äa]ssig|permi(tted|ssible)|uncertaint|unsicherheit|±|following|schlepp|\bcode\b|standard.?(dev|abw)",
+    r"toleran[cz]|\blimit|grenz(e|wert)|allow|zul[äa]ssig|permi(tted|ssible)|uncertaint|unsicherheit|±|following|schlepp|predict|expect|vorhers|nominal[\s_]+(err|dev|abw|fehl)|\bcode\b|standard.?(dev|abw)",
     re.I,
 )
 """What a head says of errors that are no readings of the axis' place."""
@@ -76,11 +75,13 @@ OTHER_TEST = re.compile(
 OWN_SENSOR = re.compile(r"resolver|encoder|open ?loop|motor|stepper|counter|dreh(geber|impuls)", re.I)
 """What reads for the control itself."""
 _ACTUAL = re.compile(rf"actual|measured|reading|ist|mess|ref|(?<![a-z])(act|meas)(pos)?{_ONE}", re.I)
-SURELY_READ = re.compile(rf"^(actual|measured?|measurement|reading|ist|mess|(act|meas)(pos)?{_ONE}|\d+\s*[\[(])", re.I)
+SURELY_READ = re.compile(
+    rf"^(actual|measured?|measurement|reading|ist|mess|(act|meas)(pos)?{_ONE}|\d{{1,3}}\s*[\[(])", re.I
+)
 CYCLE = re.compile(r"^(cycle|run|repeat|test( ?(no\.?|nr\.?|number|#))?$|zyklus|lauf|nr)", re.I)
 _RUN = re.compile(r"r\d+(?!\w)", re.I)
-_NUMBER = re.compile(r"\d+")
-_WAY = re.compile(r"^(direction|dir|(anfahr)?richtung|approach)", re.I)
+_NUMBER = re.compile(r"(\d+)")
+_WAY = re.compile(r"^(direction|dir|(anfahr)?richtung|approach|sens[eo]?\b)", re.I)
 
 _SIGN_INSIDE = re.compile(r"(?<=[^\W\d_])\s*([+\-\u2212↑↓])(?=[\s\d]|[^\W_])")
 """A sign between the words of a head: ``Error + run 1``."""
@@ -124,10 +125,10 @@ def wide_of(heads: Sequence[str]) -> Wide | None:
     # Cycles may be counted from 0.
     shift = 1 if any(number == 0 for _, _, number in numbered) else 0
     counted = tuple((i, way, number + shift) for i, way, number in numbered)
-    return Wide(targets[0], counted) if len(counted) >= 2 and not _has_more(names, counted, targets) else None
+    return Wide(targets[0], counted) if len(counted) >= 2 and not _has_more(names, counted, targets[0]) else None
 
 
-def _has_more(names: Sequence[str], counted: Sequence[tuple[int, str, int]], targets: Sequence[int]) -> bool:
+def _has_more(names: Sequence[str], counted: Sequence[tuple[int, str, int]], target: int) -> bool:
     """Return whether beside readings of one direction as many columns of their unit stand, of another one whose name is not known."""
     read = [i for i, _, _ in counted]
     if len({way for _, way, _ in counted}) > 1:
@@ -135,7 +136,7 @@ def _has_more(names: Sequence[str], counted: Sequence[tuple[int, str, int]], tar
     others = [
         _NUMBER.sub("", name)
         for i, name in enumerate(names)
-        if i not in (*read, *targets) and _NUMBER.search(name) and unit_of(name) == unit_of(names[read[0]])
+        if i not in (*read, target) and _NUMBER.search(name) and unit_of(name) == unit_of(names[read[0]])
         if not SUMS_UP.search(name) and not is_index(name)
     ]
     return len(read) in Counter(others).values()
@@ -180,32 +181,6 @@ def axes_beside(rows: Sequence[Sequence[str]]) -> list[str]:
     return []
 
 
-def rows_of_axis(rows: Sequence[Sequence[str]], axis: str) -> tuple[list[Sequence[str]], list[str]]:
-    """Return a table without the rows that its column of axes says are of others, and what it says; any other table as it is."""
-    for begin, row in enumerate(rows[:MOST_TITLES]):
-        columns = [i for i, head in enumerate(row) if AXIS.match(head.strip())]
-        if columns:
-            body, asked = rows[begin + 1 :], axis.upper()
-            told_in = {i: {line[i].strip().upper() for line in body if i < len(line)} - {""} for i in columns}
-            # Several that are alike have names, or numbers, of any kind.
-            called = [
-                i for i in columns if len(told_in[i]) > 1 and asked in told_in[i] and not axis_of(axis, bare=True)
-            ]
-            letters = [i for i in columns if any(axis_of(cell, bare=True) for cell in told_in[i])]
-            column = [*called, *letters, *columns][0]
-            kept, mine = list(rows[: begin + 1]), True
-            told: dict[str, None] = {}
-            for line in body:
-                # Of merged cells the first alone is filled.
-                cell = line[column].strip() if column < len(line) else ""
-                named = cell.upper() if called else axis_of(cell, bare=True)
-                mine = named == asked if named else mine
-                told |= {named: None} if named else {}
-                kept += [line] if mine else []
-            return (kept if asked in told else list(rows)), list(told)
-    return list(rows), []
-
-
 def is_index(head: str) -> bool:
     """Return whether a column counts its rows: ``i``, ``i-th``, ``Pos No.``."""
     return _INDEX.match(head.strip()) is not None
@@ -218,14 +193,16 @@ def is_opposite(head: str) -> bool:
 
 def names_target(head: str) -> bool:
     """Return whether a column holds targets; positional deviations, as ISO 230-2 calls them, are none."""
-    surely = _SURELY_TARGET.match(head.strip()) is not None
-    told = surely or (_TARGET.match(head.strip()) is not None and not is_deviation(head))
+    told = _TARGET.match(head.strip()) is not None and not is_deviation(head)
     return told and not is_index(head) and "radius" not in head.lower()
 
 
 def _targets(names: Sequence[str]) -> list[int]:
     """Return the columns that may hold the targets, the surest first."""
-    found = [i for i, name in enumerate(names) if names_target(name)]
+    # Beside neg, pos is a direction.
+    there = {name.lower() for name in names}
+    ways = {name for name in names if (low := name.lower()).startswith("pos") and f"neg{low[3:]}" in there}
+    found = [i for i, name in enumerate(names) if names_target(name) and name not in ways]
     return sorted(found, key=lambda i: (_COUNTED.fullmatch(names[i]) is not None, not _SURELY_TARGET.match(names[i])))
 
 
@@ -271,14 +248,27 @@ def long_of(heads: Sequence[str]) -> Long | None:
         target, value = _plain(names)
     if target is None or value is None:
         return None
+    # One of several columns of readings is no table of one reading a row.
+    others = [name for i, name in enumerate(names) if i not in (target, way, cycle, value) and name != names[value]]
+    if _NUMBER.search(names[value]) and _stem(names[value]) in map(_stem, others):
+        return None
     return Long(target, way, cycle, value)
 
 
 def _plain(names: Sequence[str]) -> tuple[int | None, int | None]:
     """Return the columns of targets and readings of a table that names no direction, where nothing else can be meant; else None."""
     targets, read = _without_direction(names)
+    if any(
+        way and is_unit(told_unit(name, "")) and _is_read(name)
+        for name, way in zip(names, _ways_of(names), strict=True)
+    ):
+        return None, None
     deviations = [i for i in read if is_deviation(names[i])]
     read = deviations if len(deviations) == 1 else read
+    left = [_stem(name) for i, name in enumerate(names) if i not in (*targets, *read) and _NUMBER.search(name)]
+    if any(often > 1 for often in Counter(left).values()):
+        # Cycles whose heads are not known.
+        return None, None
     return (targets[0], read[0]) if len(targets) == len(read) == 1 else (None, None)
 
 
@@ -316,18 +306,26 @@ def by_way_of(heads: Sequence[str]) -> tuple[int, int, tuple[tuple[int, int], ..
     """Return the columns of targets, of directions, and of readings with their cycles, in a table of one row a target and direction."""
     names = [with_shares(head.strip()) for head in heads]
     way = next((i for i, name in enumerate(names) if _WAY.match(name)), None)
-    places = _targets(names)
+    stems = Counter(map(_stem, names))
+    # Of several that are counted each is a cycle.
+    places = [i for i in _targets(names) if stems[_stem(names[i])] == 1]
     if way is None or not places:
         return None
     target = places[0]
-    cycles = tuple(
-        (i, int(number[1]))
+    counted = [
+        (i, int(number[1]), _stem(name))
         for i, name in enumerate(names)
-        if i not in (way, *places) and not SUMS_UP.search(name) and (number := re.search(r"(\d+)", name))
-    )
+        if i not in (way, target) and not _SURELY_TARGET.match(name) and not SUMS_UP.search(name)
+        if (number := _NUMBER.search(name))
+    ]
     # Readings of several cycles are called alike.
-    alike = {re.sub(r"\d+", "", names[i], count=1) for i, _ in cycles}
-    return (target, way, cycles) if len(cycles) > 1 and len(alike) == 1 else None
+    alike = [stem for stem, often in Counter(stem for _, _, stem in counted).items() if often > 1]
+    return (target, way, tuple((i, n) for i, n, stem in counted if stem == alike[0])) if len(alike) == 1 else None
+
+
+def _stem(head: str) -> str:
+    """Return a head without its first number."""
+    return _NUMBER.sub("", head, count=1)
 
 
 def deviation_of(head: str, factor: float, value: float, target: float, scale: Scale) -> tuple[float, bool]:

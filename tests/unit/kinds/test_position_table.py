@@ -1568,3 +1568,54 @@ def test_numbers_of_conditions_and_machines_count_no_cycles(tmp_path: Path, head
         assert refusal(path).code == code
         return
     assert [run.samples["error_um"][0] for run in runs_of(read_position_table(path), path, {})] == [1.0, 3.0]
+
+
+@pytest.mark.parametrize(
+    ("head", "by_position"),
+    [
+        ("target [mm],direction,error 1 [µm],error 2 [µm],2025 [µm]", False),
+        ("target [mm],direction,Position 1 [mm],Position 2 [mm]", True),
+        ("target [mm],sens,Laser 1 [mm],Laser 2 [mm],humidity 3 [%]", True),
+    ],
+)
+def test_cycles_beside_a_column_of_directions_are_all_read(tmp_path: Path, head: str, by_position: bool) -> None:
+    lines = [head]
+    for i, target in enumerate(TARGETS):
+        for way, errors in (("+", FORWARD), ("-", REVERSE)):
+            told = [f"{target + um / 1000.0 if by_position else um:.4f}" for um in errors[i]]
+            lines.append(",".join([f"{target:g}", way, *told, "7"][: head.count(",") + 1]))
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join(lines), encoding="utf-8")
+    table = read_position_table(path)
+    np.testing.assert_allclose(table.forward_um, FORWARD, atol=1e-6)
+    np.testing.assert_allclose(table.reverse_um, REVERSE, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "head",
+    [
+        # Half of the directions is known; the other half was left out.
+        "target [mm],A error [µm],B error [µm]",
+        "target [mm],out 1 [mm],back 1 [mm],out 2 [mm],back 2 [mm],2025 [µm]",
+        "Soll [mm],Position out 1 [mm],Position back 1 [mm],Position out 2 [mm],Position back 2 [mm]",
+        # Of a target that is not known another column was taken for it.
+        "Axis position [mm],pos 1 [mm],neg 1 [mm],pos 2 [mm],neg 2 [mm]",
+        "X Target [mm],positive 1 [mil],negative 1 [mil],positive 2 [mil],negative 2 [mil]",
+        "X Target [mm],forward 1 [µm],reverse 1 [µm],forward 2 [µm],reverse 2 [µm],Nominal error [µm]",
+        # What is read is not beside columns that are not known.
+        "target [mm],left 1 [µm],left 2 [µm],right 1 [µm],right 2 [µm],Nominal error [µm]",
+    ],
+)
+def test_half_of_a_table_is_not_read_in_place_of_all_of_it(tmp_path: Path, head: str) -> None:
+    path, n = tmp_path / "a.csv", head.count(",")
+    rows = [",".join([f"{50 * i}", *(f"{50.0 * i + 0.001 * k:.4f}" for k in range(n))]) for i in range(5)]
+    path.write_text("\n".join([head, *rows]), encoding="utf-8")
+    assert refusal(path).code.startswith("position_table.")
+
+
+@pytest.mark.parametrize("unknown", ["out", "A", "left"])
+def test_a_direction_that_is_not_known_is_refused_beside_one_that_is(tmp_path: Path, unknown: str) -> None:
+    path = tmp_path / "a.csv"
+    rows = [f"{target:g},{way},1.0,1.5" for target in TARGETS for way in (unknown, "back")]
+    path.write_text("\n".join(["target [mm],direction,error 1 [µm],error 2 [µm]", *rows]), encoding="utf-8")
+    assert unknown in str(refusal(path).got)
