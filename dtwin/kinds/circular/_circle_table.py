@@ -72,7 +72,7 @@ _TIME = re.compile(r"^(t|time|zeit)$", re.I)
 _RADIUS = re.compile(r"^(actual |measured )?(radius|r|istradius)( (actual|measured|ist))?$", re.I)
 _BESIDE = re.compile(
     r"angle|winkel|phi|theta|time|zeit|temp|luft|\bair|feed|vorschub|speed|mean|avg|average|mittel|fit|std|sigma|min|max|median"
-    r"|tangential|command|cmd|nominal|\bsoll"
+    r"|tangential|command|cmd|nominal|\bsoll|predict|expect|vorhers|reference|referenz|ideal|limit|toleran|grenz|uncertaint|unsicher"
     r"|diam|durchm|[ø⌀]"
     r"|^(?!.*(dev|err|abw|fehler)).*(correction|compensation|korrektur|kompensation|radius)\b",
     re.I,

@@ -20,8 +20,8 @@ _SPELT = (
     (re.compile(rf"{_AGAINST}({_CLOCK}|cw\b)", re.I), "ccw"),
     (re.compile(rf"(im )?{_CLOCK}", re.I), "cw"),
     # The probe on the left is no direction.
-    (re.compile(rf"^(?!.*({PROBES})).*\b(left|links(lauf|herum|drehend)?)\b.*"), "ccw"),
-    (re.compile(rf"^(?!.*({PROBES})).*\b(right|rechts(lauf|herum|drehend)?)\b.*"), "cw"),
+    (re.compile(rf"^(?!.*({PROBES})).*\b(left|links(lauf|herum|drehend)?)(?![^\W\d_]).*"), "ccw"),
+    (re.compile(rf"^(?!.*({PROBES})).*\b(right|rechts(lauf|herum|drehend)?)(?![^\W\d_]).*"), "cw"),
 )
 """How a direction is spelt out, those against the clock first: their names hold the others."""
 _WAYS = {"ccw": "CCW", "acw": "CCW", "g03": "CCW", "g3": "CCW", "cw": "CW", "g02": "CW", "g2": "CW"}

@@ -18,6 +18,7 @@ from dtwin.acquire.quality import judge_run
 from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.kinds.circular._circle_table import is_circle_table, read_circle_runs
+from dtwin.kinds.circular._circle_ways import way_of
 from dtwin.schema import Campaign, Floats, Run
 
 TOLD = {"plane": "XY", "radius_mm": 150.0, "feed_mm_min": 1000.0, "machine": "mill-7"}
@@ -274,6 +275,9 @@ def test_a_plane_that_is_told_from_its_other_axis_turns_the_angle(tmp_path: Path
     [
         "angle [deg],ccw [µm],cw [µm],ccw best fit [µm]",
         "angle [deg],ccw [µm],cw [µm],mean ccw [µm]",
+        # What is read has heads that are not known.
+        "angle [deg],forward [µm],cw predicted [µm],backward [µm]",
+        "angle [deg],A [µm],ccw reference [µm],B [µm]",
         "angle [deg],ccw correction [µm],cw correction [µm],t [s]",
         "angle [deg],ccw diameter error [µm],cw diameter error [µm],t [s]",
         "angle [deg],ccw radius [mm],cw radius [mm],t [s]",
@@ -502,3 +506,8 @@ def test_far_steps_of_the_angle_are_no_turns(tmp_path: Path, step_deg: float) ->
     ((run,), _), *_ = open_source(tmp_path)[1]
     assert np.diff(run.samples["angle_deg"]) == pytest.approx(step_deg)
     assert not {f.code for f in judge_run(run)} & {"angle.direction", "arc.long", "angle.jump"}
+
+
+@pytest.mark.parametrize(("head", "way"), [("left1", "CCW"), ("rechts2", "CW"), ("lefthand", None), ("upright1", None)])
+def test_a_side_with_a_number_is_a_direction(head: str, way: str | None) -> None:
+    assert way_of(head) == way
