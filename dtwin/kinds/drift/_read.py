@@ -49,11 +49,11 @@ _TRAVEL_UM = 10_000.0
 _SPEED, _DRIFT_S = re.compile(r"speed|\brpm\b|drehzahl", re.I), 0.5
 _OF_OTHERS = re.compile(r"(angle|position|error|speed(?!_rpm)|joint|direction|cmd|act)\w*_", re.I)
 _NO_PROBE = re.compile(
-    r"target|nominal|soll|toler|limit|radius|diamet|durchm|run_?out|rundlauf|rough|rauh|rau_|stroke|length|wear"
+    r"target|nominal|command|(?<![a-z])(?:cmd|mean|avg|average|mittel\w*)|(?<!un)(?:corrected|compensated|korrigiert|kompensiert)|soll|toler|limit|radius|diamet|durchm|run_?out|rundlauf|rough|rauh|rau_|stroke|length|wear"
     r"|uncertaint|unsicherheit|set_?point|predict|simulat|(?<![a-z])std|standard_dev|(?<!with_)(?<!without_)(?<!mit_)(?<!ohne_)(?:correction|korrektur|compensation|kompensation)",
     re.I,
 )
-_NO_SENSOR = re.compile(r"set_?point|soll|limit|grenz|alarm|uncertaint|unsicherheit", re.I)
+_NO_SENSOR = re.compile(r"set_?point|target|nominal|command|soll|limit|grenz|alarm|uncertaint|unsicherheit", re.I)
 _STEPS = "displacement_step"
 _SAMPLE = "sample_1"
 _STAMPED = "t_stamp"
@@ -228,6 +228,8 @@ def _displacements(heads: Sequence[str]) -> list[str]:
     """Return which columns are displacements: by their names, else the only length, whatever its name, which no other test has."""
     lengths = [name for name in heads if name == _STEPS or (name.endswith("_um") and not _NO_PROBE.search(name))]
     moved = [name for name in lengths if name == _STEPS or _MOVED.fullmatch(name)]
+    # Beside another length a position is where the machine stands, not what its probe reads.
+    moved = [name for name in moved if len(lengths) == 1 or "position" not in name.lower()]
     return moved or (lengths if sum(name.endswith("_um") for name in heads) == 1 else [])
 
 

@@ -29,6 +29,7 @@ from dtwin.units import is_number, shown_number
 _TOLD_OFF = 0.05
 _UM_PER_MM = 1e3
 _MOST_RPM = 1e6
+_MOST_OF_TURN = 0.5
 _FAR = 20.0
 """Times the range of nearly all readings that a reading without meaning lies off them at least."""
 _FEW = 0.02
@@ -195,6 +196,7 @@ def _turning(reading: Reading, told: object, path: Path) -> list[Run]:
         t, x, said = probe.t_s, probe.value, list(findings)
         if angle is None:
             speed = _speed(reading, told, path)
+            _require_turn_seen(t, speed, path)
             a, found = nominal_angle(t, speed, x)
             said.append(_no_angle(speed, found))
         else:
@@ -257,6 +259,20 @@ def _speed(reading: Reading, told: object, path: Path) -> float:
         where=str(path),
         allowed="a column speed [rpm], or condition = { speed_rpm = 1200 } in the run; or time, and angle [deg] or pulse",
     )
+
+
+def _require_turn_seen(t_s: Floats, rpm: float, path: Path) -> None:
+    """Refuse readings that are farther apart than the axis takes for half a turn: where it stood at each, its speed does not tell."""
+    step_s = float(np.median(np.diff(t_s))) if t_s.size > 1 else 0.0
+    if step_s * rpm / 60.0 > _MOST_OF_TURN:
+        raise InputError(
+            "no angle was read, and the axis turns too far from one reading to the next to compute it",
+            code="rotation.seldom",
+            where=str(path),
+            got=f"a reading every {shown_number(step_s)} s at {shown_number(rpm, 4)} rpm: {shown_number(step_s * rpm / 60.0)} turns",
+            allowed=f"up to {_MOST_OF_TURN:g} of a turn, or a column of angles",
+            hint="a log that drifts with temperatures: --kind drift",
+        )
 
 
 def _no_angle(told: float, found: float) -> Finding:

@@ -515,13 +515,28 @@ def test_a_zero_of_a_probe_that_read_nothing_is_left_out(tmp_path: Path) -> None
     run = read(path)
     assert (run.n_samples, run.samples["displacement_um"][0]) == (58, 0.0)
     assert "drift.dropout" in {finding.code for finding in run.findings}
-    for other in ("correction", "compensation", "predicted", "uncertainty", "setpoint", "std"):
+    for other in [
+        "correction",
+        "compensation",
+        "predicted",
+        "uncertainty",
+        "setpoint",
+        "std",
+        "command",
+        "mean",
+        "corrected",
+    ]:
         path.write_text("\n".join([f"time [min],Z {other} [µm],T [°C]", *rows]), encoding="utf-8")
         assert not is_drift_log(path), other
-    path.write_text(
-        "\n".join(["time [min],Z [µm],frame [°C],frame setpoint [°C]", *(f"{r},20" for r in rows)]), "utf-8"
-    )
-    assert {n for n in read(path).samples if n.startswith("temperature")} == {"temperature_frame_c"}
+    for asked in ("frame setpoint", "Target temp"):
+        heads = f"time [min],Z [µm],frame [°C],{asked} [°C]"
+        path.write_text("\n".join([heads, *(f"{r},20" for r in rows)]), "utf-8")
+        assert {n for n in read(path).samples if n.startswith("temperature")} == {"temperature_frame_c"}
+    # Another length, whatever its name, is what moves; where the machine stands is not read in its place.
+    for other in ("X position", "Z corrected"):
+        heads = f"time [min],Dial gauge [µm],frame [°C],{other} [mm]"
+        path.write_text("\n".join([heads, *(f"{r},{50 + n % 3}" for n, r in enumerate(rows))]), "utf-8")
+        assert not is_drift_log(path), other
 
 
 def test_a_target_beside_a_displacement_is_none(tmp_path: Path) -> None:

@@ -322,6 +322,13 @@ def test_pulses_give_the_angle_between_them(tmp_path: Path) -> None:
     assert abs(figures_of(turns).once) == pytest.approx(8.0, abs=0.05)
 
 
+def test_a_speed_alone_tells_no_angle_of_readings_that_are_turns_apart(tmp_path: Path) -> None:
+    seldom = table({"t_s": 60.0 * np.arange(TIME.size), "speed [rpm]": np.full(TIME.size, 3000.0), "radial_um": UM})
+    with pytest.raises(InputError, match="turns too far") as refused:
+        read(tmp_path, seldom)
+    assert refused.value.got == "a reading every 60 s at 3000 rpm: 3000 turns"
+
+
 def test_a_speed_alone_is_made_exact_by_what_repeats_and_has_no_phase(tmp_path: Path) -> None:
     off = 1.004
     for text, told in (
