@@ -90,6 +90,11 @@ _NOT_READ = re.compile(
     r"toleran[cz]|\blimit|grenz(wert|e)\b|allow|zul[äa]ssig|permi(tted|ssible)|\bsoll|\bnominal|\bspec(ified)?\b|uncertaint|unsicherheit|\bstd|\bsigma\b|standard.?(dev|abw)"
 )
 """What a head says of run-outs that nobody read."""
+_COMPUTED = re.compile(
+    r"predict|expect|simulat|\bideal|\bfit(ted)?\b|\b(mean|avg|average|mittel\w*)\b|residu|(?<!un)(correct|compensat|korrigiert|kompensiert)|command|amplitud"
+)
+"""What a head says of a displacement that no probe read."""
+_POSITION, _OF_POSITIONS = re.compile(r"\bpos(ition)?\b"), ("mm", "cm", "m", "in", "inch")
 _PART = re.compile(r"±|\+\s*/\s*-|amplitud|\bhal(f|be)|\b(0|zero)\s*-?\s*(to)?\s*-?\s*p(ea)?k\b|\brms\b|effektiv", re.I)
 """What a head says of a part of a run-out, which is from the lowest to the highest reading."""
 _PROBE = re.compile(
@@ -191,7 +196,8 @@ def column_of(head: str, unit_below: str = "") -> Column:
         return Column("") if _NOT_READ.search(words) else Column(RUNOUT, name, scale, likely=True)
     if _PATH.search(words):
         return Column(PATH)
-    if _OTHER.search(f"{words} {told}"):
+    moves = told in _OF_POSITIONS and _POSITION.search(words)
+    if _OTHER.search(f"{words} {told}") or _NOT_READ.search(words) or _COMPUTED.search(words) or moves:
         return Column("")
     likely = bool(_PROBE.search(words))
     return Column(PROBE, name, scale, likely) if scale or likely else Column("")

@@ -306,6 +306,16 @@ def test_channels_of_temperatures_are_no_probes(tmp_path: Path, heads: str) -> N
     assert run.samples["displacement_um"] == pytest.approx(UM, abs=1e-3)
 
 
+@pytest.mark.parametrize(
+    "beside",
+    ["Tolerance [µm]", "X limit [µm]", "X mean [µm]", "X fit [µm]", "ideal [µm]", "X residual [µm]", "Z position [mm]"],
+)
+def test_what_no_probe_read_is_no_run(tmp_path: Path, beside: str) -> None:
+    text = table({"time [s]": TIME, "angle [deg]": ANGLE, beside: 3.0 + 0.01 * UM, "ch1 [µm]": UM})
+    (run,) = read(tmp_path, text)
+    assert run.samples["displacement_um"] == pytest.approx(UM, abs=1e-3)
+
+
 def test_a_unit_that_is_not_told_is_said_to_be_assumed(tmp_path: Path) -> None:
     (run,) = read(tmp_path, table({"time": TIME, "angle [deg]": ANGLE, "radial x [µm]": UM}))
     assert [f.message for f in run.findings if f.code == "rotation.unit_assumed"] == [
