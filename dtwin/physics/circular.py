@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,6 +13,10 @@ from dtwin.errors import InputError
 from dtwin.schema import Floats
 
 _LARGEST_GAP_DEG = 2.0
+_UNEVEN = 1.5
+"""How many times as wide as the widest beside it a gap of a coarse table may be."""
+_BESIDE = 8
+"""Gaps between samples on each side that tell how wide one may be."""
 _STRETCHES = 720
 """Of a turn, each of which gives its extremes to the minimum zone at first."""
 
@@ -41,7 +46,8 @@ class CircularFigures:
     """Figures of one run.
 
     Attributes:
-        circular_deviation_um: ISO 230-4 G: largest minus smallest radius about the least-squares centre.
+        circular_deviation_um: ISO 230-4 G: largest minus smallest radius about the least-squares centre. Each sample counts
+            with the angle that it stands for, here and in the RMS: where samples lie closer makes no difference.
         circular_deviation_mz_um: The same about the minimum-zone centre.
         radial_deviation_max_um, radial_deviation_min_um: ISO 230-4 F: extremes of radius minus nominal, centre removed,
             radius kept.
@@ -84,7 +90,7 @@ class BidirectionalFigures:
 
 
 def fit_circle(angle_deg: Floats, deviation_um: Floats, radius_mm: float) -> Circle:
-    """Fit the geometric least-squares circle.
+    """Fit the geometric least-squares circle; each sample counts with the angle that it stands for.
 
     Args:
         angle_deg: Angle in the plane. Shape (n,).
@@ -93,15 +99,22 @@ def fit_circle(angle_deg: Floats, deviation_um: Floats, radius_mm: float) -> Cir
     Raises:
         InputError: With fewer than three samples, or an arc below 30 degrees.
     """
+    return fit_common_circle([(angle_deg, deviation_um)], radius_mm)
+
+
+def fit_common_circle(arcs: Sequence[tuple[Floats, Floats]], radius_mm: float) -> Circle:
+    """Fit one geometric least-squares circle to several runs, as :func:`fit_circle` does to one; each run counts alike."""
+    angle_deg, deviation_um = (np.concatenate(part) for part in zip(*arcs, strict=True))
     _require_arc(angle_deg, deviation_um)
     theta = np.radians(angle_deg)
     r_um = radius_mm * 1000.0 + deviation_um
     a_um, b_um = r_um * np.cos(theta), r_um * np.sin(theta)
+    root = np.sqrt(np.concatenate([_shares(angle) for angle, _ in arcs]))
     design = np.column_stack([np.cos(theta), np.sin(theta), np.ones_like(theta)])
-    start = np.linalg.lstsq(design, deviation_um, rcond=None)[0]
+    start = np.linalg.lstsq(design * root[:, None], deviation_um * root, rcond=None)[0]
 
     def residual(p: Floats) -> Floats:
-        return np.hypot(a_um - p[0], b_um - p[1]) - (radius_mm * 1000.0 + p[2])
+        return np.asarray(root * (np.hypot(a_um - p[0], b_um - p[1]) - (radius_mm * 1000.0 + p[2])))
 
     solved = scipy.optimize.least_squares(residual, start, x_scale=10.0, method="lm").x
     return Circle(
@@ -183,14 +196,15 @@ def circular_figures(angle_deg: Floats, deviation_um: Floats, radius_mm: float) 
     circle = fit_circle(angle_deg, deviation_um, radius_mm)
     centred = _centred_um(angle_deg, deviation_um, radius_mm, circle)
     rest = centred - circle.radius_change_um
+    shares = _shares(angle_deg)
     return CircularFigures(
         circle=circle,
         circular_deviation_um=float(np.ptp(centred)),
         circular_deviation_mz_um=minimum_zone_um(angle_deg, rest)[0],
         radial_deviation_max_um=float(centred.max()),
         radial_deviation_min_um=float(centred.min()),
-        rms_um=float(np.sqrt(np.mean(rest**2))),
-        mean_absolute_um=float(np.mean(np.abs(rest))),
+        rms_um=float(np.sqrt(np.average(rest**2, weights=shares))),
+        mean_absolute_um=float(np.average(np.abs(rest), weights=shares)),
         arc_deg=_arc_deg(angle_deg),
     )
 
@@ -204,10 +218,9 @@ def bidirectional_figures(
         ccw: Samples of the counter-clockwise direction, arrays of shape (n,) each.
         cw: Samples of the clockwise direction.
     """
+    common = fit_common_circle([ccw, cw], radius_mm)
     angle = np.concatenate([ccw[0], cw[0]])
-    deviation = np.concatenate([ccw[1], cw[1]])
-    common = fit_circle(angle, deviation, radius_mm)
-    centred = _centred_um(angle, deviation, radius_mm, common)
+    centred = _centred_um(angle, np.concatenate([ccw[1], cw[1]]), radius_mm, common)
     split = len(ccw[0])
     grid = np.arange(0.0, 360.0, 0.1)
     up, down = (ccw[0], centred[:split]), (cw[0], centred[split:])
@@ -232,14 +245,33 @@ def _centred_um(angle_deg: Floats, deviation_um: Floats, radius_mm: float, circl
     return np.asarray(distance - radius_mm * 1000.0)
 
 
+def _shares(angle_deg: Floats) -> Floats:
+    """Return the angle in degrees that each sample of a run stands for, half of the gaps to its neighbours, shape (n,).
+
+    A gap counts as no wider than the widest beside it: nothing stands for what was not measured.
+    """
+    order = np.argsort(angle_deg % 360.0, kind="stable")
+    gap = np.minimum(*_gaps(angle_deg[order] % 360.0))
+    shares = np.empty_like(gap)
+    shares[order] = (gap + np.roll(gap, 1)) / 2.0
+    return shares if shares.any() else np.ones_like(shares)
+
+
+def _gaps(around_deg: Floats) -> tuple[Floats, Floats]:
+    """Return the gap from each of the ordered angles of a circle to the next, and the widest of the gaps beside it."""
+    gap = np.diff(around_deg, append=around_deg[0] + 360.0)
+    beside = [np.roll(gap, by) for by in range(-_BESIDE, _BESIDE + 1) if by % gap.size]
+    return gap, np.max(beside, axis=0)
+
+
 def _at(wanted_deg: Floats, angle_deg: Floats, value: Floats) -> Floats:
-    """Interpolate samples at angles round the circle; NaN in gaps of more than two degrees."""
+    """Interpolate samples at angles round the circle; NaN where the gap is wider than two degrees and than those beside it."""
     order = np.argsort(angle_deg % 360.0)
     angle, value = (angle_deg % 360.0)[order], value[order]
-    place = np.searchsorted(angle, wanted_deg % 360.0)
-    gap = np.diff(angle, prepend=angle[-1] - 360.0, append=angle[0] + 360.0)[place]
+    gap, beside = _gaps(angle)
+    within = gap <= np.maximum(_LARGEST_GAP_DEG, _UNEVEN * beside)
     found = np.interp(wanted_deg, angle, value, period=360.0)
-    return np.asarray(np.where(gap <= _LARGEST_GAP_DEG, found, np.nan))
+    return np.asarray(np.where(within[np.searchsorted(angle, wanted_deg % 360.0) - 1], found, np.nan))
 
 
 def _arc_deg(angle_deg: Floats) -> float:

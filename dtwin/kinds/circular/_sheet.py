@@ -11,7 +11,7 @@ import numpy as np
 
 from dtwin.errors import InputError
 from dtwin.kinds.circular._across_runs import with_spoilt_told
-from dtwin.physics.circular import bidirectional_figures, fit_circle, residual_um
+from dtwin.physics.circular import bidirectional_figures, fit_circle, fit_common_circle, residual_um
 from dtwin.report.plots import polar_figure
 from dtwin.report.sheet import Characteristic, Part, Sheet, pooled, repeated, sound_runs
 from dtwin.report.uncertainty import Circumstances, Contribution, off_line_um
@@ -158,8 +158,7 @@ def both_ways_figure(runs: Sequence[Run]) -> go.Figure:
     shown = list(pairs[0]) if pairs else list(runs[:1])
     radius = float(shown[0].meta.radius_mm or 0.0)
     arcs = [run.arc for run in shown]
-    angle, deviation = (np.concatenate(part) for part in zip(*arcs, strict=True))
-    circle = fit_circle(angle, deviation, radius)
+    circle = fit_common_circle(arcs, radius)
     curves = {
         f"{run.meta.direction} ({run.meta.run_id})": (
             arc[0],

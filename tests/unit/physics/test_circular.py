@@ -150,3 +150,53 @@ def test_the_minimum_zone_of_many_samples_is_that_of_all_of_them(turns: float) -
                 rest - step * np.cos(turn) * np.cos(np.radians(angle)) - step * np.sin(turn) * np.sin(np.radians(angle))
             )
             assert np.ptp(moved) >= width - 1e-4
+
+
+@pytest.mark.parametrize(
+    "angle",
+    [
+        np.linspace(0.0, 360.0, 8000, endpoint=False)
+        - 0.9 * np.degrees(np.sin(4.0 * np.radians(np.linspace(0.0, 360.0, 8000, endpoint=False)))) / 4.0,
+        np.sort(np.concatenate([ANGLE, np.arange(40.0, 80.0, 0.01)])),
+        np.concatenate([np.zeros(3000), ANGLE]),
+        np.arange(0.0, 540.0, 0.25),
+    ],
+    ids=["slows near reversals", "a dense arc", "stands", "one and a half turns"],
+)
+def test_figures_do_not_depend_on_how_densely_a_circle_was_sampled(angle: np.ndarray) -> None:
+    def deviation(angle: np.ndarray) -> np.ndarray:
+        theta = np.radians(angle)
+        return 3.0 * np.cos(theta) + 5.0 * np.cos(2.0 * theta) + 4.0 * np.sign(np.sin(theta)) * np.cos(theta)
+
+    even = circular_figures(ANGLE, deviation(ANGLE), 100.0)
+    found = circular_figures(angle, deviation(angle), 100.0)
+    assert found.circular_deviation_um == pytest.approx(even.circular_deviation_um, abs=0.02)
+    assert found.rms_um == pytest.approx(even.rms_um, abs=0.02)
+    assert found.circle.centre_a_um == pytest.approx(even.circle.centre_a_um, abs=0.02)
+    # Nor is a centre of both directions that of the one with more samples.
+    both = bidirectional_figures((angle, deviation(angle)), (-ANGLE, np.zeros_like(ANGLE)), 100.0)
+    alike = bidirectional_figures((ANGLE, deviation(ANGLE)), (-ANGLE, np.zeros_like(ANGLE)), 100.0)
+    assert both.circular_deviation_common_centre_um == pytest.approx(
+        alike.circular_deviation_common_centre_um, abs=0.02
+    )
+    assert both.mean_bidirectional_radius_um == pytest.approx(alike.mean_bidirectional_radius_um, abs=0.02)
+
+
+def test_even_samples_of_an_arc_count_alike() -> None:
+    arc = ANGLE < 200.0
+    theta, deviation = THETA[arc], 5.0 * np.cos(3.0 * THETA[arc])
+    plain = np.linalg.lstsq(np.column_stack([np.cos(theta), np.sin(theta), np.ones_like(theta)]), deviation)[0]
+    circle = fit_circle(ANGLE[arc], deviation, 1e6)
+    assert (circle.centre_a_um, circle.centre_b_um, circle.radius_change_um) == pytest.approx(plain, abs=1e-5)
+
+
+def test_a_coarse_table_of_both_directions_has_a_hysteresis_and_no_more_where_readings_lack() -> None:
+    coarse = np.arange(0.0, 360.0, 10.0)
+    up, down = (coarse, np.full(36, 4.0)), (coarse, np.zeros(36))
+    figures = bidirectional_figures(up, down, 100.0)
+    assert figures.hysteresis_um == pytest.approx(4.0)
+    assert figures.mean_bidirectional_radius_um == pytest.approx(2.0)
+    high = np.where((coarse > 90.0) & (coarse < 130.0), 50.0, 0.0)
+    part = (coarse < 90.0) | (coarse > 130.0)
+    figures = bidirectional_figures((coarse, high), (coarse[part], np.zeros(part.sum())), 100.0)
+    assert figures.hysteresis_um < 1.0
