@@ -122,8 +122,13 @@ def diagnose(obs: Observations, known: Sequence[Term], library: Mapping[str, Eff
     if not unknown:
         return answer
     beside_them = [*known, *unknown]
-    other = concluded(searched(beside(weighted_like(obs, beside_them, noise)), beside_them), first, unknown, believed)
-    return other if other.found else answer
+    found = searched(beside(weighted_like(obs, beside_them, noise)), beside_them)
+    other = concluded(found, first, unknown, believed)
+    if other.found:
+        return other
+    # One law without a name that leaves nothing is better than effects that leave much, and are not seen beside it.
+    explains_all = len(unknown) == 1 and not found.found and found.lack_of_fit[0] > _FIT_IS_DOUBTFUL
+    return concluded(first, first, none=True) if explains_all else answer
 
 
 def _has_laws(obs: Observations) -> bool:
@@ -206,12 +211,13 @@ def _concluded(
     first: Search,
     unknown: Sequence[Term] = (),
     believed: frozenset[str] = frozenset(),
+    none: bool = False,
 ) -> Diagnosis:
     """Judge what a search found.
 
     ``problem``: whitened campaign with what the twin knows.
     ``unknown``: laws without a name that the search was made beside; they are a part of what is not resolved.
-    ``believed``: labels that are believed without these laws.
+    ``believed``: labels that are believed without these laws; ``none``: nothing is believed.
     ``first``: the search beside nothing but what the twin knows.
     """
     obs = problem.obs
@@ -244,7 +250,7 @@ def _concluded(
         and (f.label in believed or f.size_um >= least_um)
         and not follows_unknown(f, tests[f.label][f.label], found)
     ]
-    kept = standing_alone(kept, found, unweighted(obs, [*known, *unknown]), candidates)
+    kept = [] if none else standing_alone(kept, found, unweighted(obs, [*known, *unknown]), candidates)
     if obs.grid.in_plane and (len(kept) < len(found.found) or found.lack_of_fit[1] <= LACK_OF_FIT):
         kept = without_dwarfed(kept, bare, candidates)
     others = [f for f in found.found if f not in kept]
