@@ -12,7 +12,7 @@ from dtwin.commands._effects import Paths
 from dtwin.commands._output import Json, Report, ReportLanguage, emit, require_report
 from dtwin.config import home
 from dtwin.errors import InputError
-from dtwin.report.text import table
+from dtwin.report.text import series_cells, table
 from dtwin.units import shown_number
 
 if TYPE_CHECKING:
@@ -319,23 +319,8 @@ def _series_lines(series: Sequence[Mapping[str, Any]]) -> list[str]:
     """Return what changed, and the levels of the figures that did; of steady ones the number."""
     lines = [change["text"] for one in series for change in one["changes"]]
     shown = [one for one in series if one["state"] in ("changed", "trend") or one["crossing"]] or series[:4]
-    rows = [
-        [
-            one["name"],
-            one["state"],
-            f"{one['level']} {one['unit']}",
-            f"{one['floor']} {one['unit']}" if one["floor"] else "not known",
-            one["since"],
-            _ahead(one),
-        ]
-        for one in shown
-    ]
+    rows = [series_cells(one) for one in shown]
     lines += table(("figure", "state", "level", "noise floor", "since", "limit"), rows).splitlines()
     if len(series) > len(shown):
         lines.append(f"and {len(series) - len(shown)} more figures without a change (--json has all)")
     return lines
-
-
-def _ahead(one: Mapping[str, Any]) -> str:
-    crossing = one["crossing"]
-    return f"reaches {crossing['limit']:g} between {crossing['earliest']} and {crossing['latest']}" if crossing else "-"

@@ -7,9 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from dtwin.physics._best_set import Best, best_set
 from dtwin.physics._best_shapes import in_best_shape, in_best_shapes
 from dtwin.physics._dictionary import Dictionary
-from dtwin.physics._hunt import Best, best_set, without_bends
+from dtwin.physics._hunt import without_bends
 from dtwin.physics._material import IMMATERIAL, floor_um, hidden_by_mask, material
 from dtwin.physics._rivals import Found, described, level_beside, refined_candidate
 from dtwin.physics.candidates import Candidate, Candidates, independent, probes

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import replace
 
+from dtwin.physics._best_set import away_from_reversals, is_sharp
 from dtwin.physics._grading import laws_of, survivors
-from dtwin.physics._hunt import MISFIT, away_from_reversals, is_sharp, repeat_variance
+from dtwin.physics._hunt import MISFIT, repeat_variance
 from dtwin.physics._measured_once import as_if_repeated
 from dtwin.physics._rivals import described
 from dtwin.physics.candidates import Candidates, applicable

@@ -11,6 +11,7 @@ from dtwin.pipeline.machine_series import TESTS_PER_FALSE_ALARM
 from dtwin.report.history_plots import series_figure
 from dtwin.report.html import Section, Table, page
 from dtwin.report.language import Language
+from dtwin.report.text import series_cells
 from dtwin.units import shown_number, shown_unit
 
 _NOTED = "; noted then: "
@@ -74,30 +75,13 @@ def _over_time(history: Mapping[str, Any]) -> list[Section]:
         return []
     head = ("figure", "state", "level", "noise floor of tests", "since", "tests", "limit")
     rows = [
-        (
-            one["name"],
-            one["state"],
-            f"{one['level']} {one['unit']}",
-            f"{one['floor']} {one['unit']}" if one["floor"] else "not known",
-            one["since"],
-            str(len(one["points"])),
-            _ahead(one),
-        )
-        for one in history["series"]
+        (*cells[:-1], str(len(one["points"])), cells[-1]) for one in history["series"] for cells in [series_cells(one)]
     ]
     said = (
         "± of a level covers 95 % of its mean; within the noise floor another test lies with 95 % while nothing changes"
     )
     figures = [series_figure(one, history["events"]) for one in history["series"]]
     return [Section("Figures over time", [said], [], [Table(head, rows)], figures)]
-
-
-def _ahead(one: Mapping[str, Any]) -> str:
-    crossing = one["crossing"]
-    if not crossing:
-        return "-"
-    limit = f"{shown_number(crossing['limit'], 6)} {one['unit']}"
-    return f"reaches {limit} between {crossing['earliest']} and {crossing['latest']}"
 
 
 def _tests(history: Mapping[str, Any]) -> Section:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from itertools import pairwise, zip_longest
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from dtwin.units import shown_number, shown_unit
 
@@ -139,3 +139,14 @@ def decimals(uncertainty: float) -> int:
     if not math.isfinite(uncertainty) or uncertainty <= 0:
         return 2
     return min(max(1 - math.floor(math.log10(uncertainty)), 0), 4)
+
+
+def series_cells(one: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return a figure of a machine over time: name, state, level, noise floor, since when, and when its limit is reached."""
+    crossing, unit = one["crossing"], one["unit"]
+    ahead = "-"
+    if crossing:
+        limit = f"{shown_number(crossing['limit'], 6)} {unit}"
+        ahead = f"reaches {limit} between {crossing['earliest']} and {crossing['latest']}"
+    floor = f"{one['floor']} {unit}" if one["floor"] else "not known"
+    return one["name"], one["state"], f"{one['level']} {unit}", floor, one["since"], ahead
