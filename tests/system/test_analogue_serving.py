@@ -93,10 +93,12 @@ def is_corrected_or_ended(board: AnalogueBoard, server: Server) -> bool:
     return radius_um(board) > 23.5 or server.process.poll() is not None
 
 
-def corrected(board: AnalogueBoard, feed: ControlFeed, calibration: Path, *options: str) -> Server:
+def corrected(
+    board: AnalogueBoard, feed: ControlFeed, calibration: Path, *options: str, port: str | None = None
+) -> Server:
     """Serve until the board is corrected: a computer that lets the loop wait for a second trips it, rightly."""
     for _ in range(5):
-        server = serve(board.port, feed, calibration, *options)
+        server = serve(port or board.port, feed, calibration, *options)
         try:
             wait_for(partial(is_corrected_or_ended, board, server), "never corrected")
         except AssertionError as error:
@@ -190,21 +192,25 @@ def test_garbage_and_cut_frames_never_become_a_voltage(
 ) -> None:
     real(home)
     rng = np.random.default_rng(2)
-    with SpoilingLine(board.port) as line:
-        server = serve(line.port, feed, calibration, "--patience=60")
-        wait_until_corrected(board)
-        for spoil in range(30):
-            if spoil % 2:
-                line.cut = int(rng.integers(1, 12))
-            else:
-                line.invent = bytes(rng.integers(0, 256, 30, dtype=np.uint8))
-            time.sleep(0.05)
-            assert radius_um(board) < 24.5
-        wait_until_corrected(board)
-        server.interrupt()
-        code, out, err = server.end()
-        assert (code, json.loads(out)["ended"]) == (0, "stopped"), err
-        assert board.wait_for(NEUTRAL_V)
+    # A computer that lets the loop wait for a second trips the board, rightly.
+    for _ in range(5):
+        with SpoilingLine(board.port) as line:
+            server = corrected(board, feed, calibration, "--patience=60", port=line.port)
+            for spoil in range(30):
+                if spoil % 2:
+                    line.cut = int(rng.integers(1, 12))
+                else:
+                    line.invent = bytes(rng.integers(0, 256, 30, dtype=np.uint8))
+                time.sleep(0.05)
+                assert radius_um(board) < 24.5
+            wait_for(partial(is_corrected_or_ended, board, server), "never corrected")
+            server.interrupt()
+            code, out, err = server.end()
+            assert board.wait_for(NEUTRAL_V)
+        status = json.loads(out)
+        if status["ended"] != "analogue.tripped":
+            break
+    assert (code, status["ended"]) == (0, "stopped"), err
 
 
 def test_beyond_the_travel_and_outside_the_box(
