@@ -31,6 +31,8 @@ _FORETOLD = 0.4
 _ALONE = 0.5
 # A curve of so many numbers that is less than so many times what is left may follow that.
 _MANY, _MUCH_LARGER = 3, 3.0
+# A curve is no part of what laws of one place leave, if it is so much of what they explain.
+_OF_PLACES = 0.17
 # What changes with the feed at this p-value, by however little.
 _MOVES = 0.005
 # More of a curve than this in a fifth of the travel is one place and no screw.
@@ -59,6 +61,23 @@ def doubted(found: Search, late: bool, tests: Tests) -> list[Found]:
         or _is_local(f, found.plain.obs)
         or (late and f.top.term.instance.effect.within_condition)
         or _is_weak(f, tests[f.label][f.label], found)
+    ]
+
+
+def beside_places(found: Search, first: Search) -> list[Found]:
+    """Return the curves of many numbers that are small beside laws of one place: these may have another form.
+
+    ``first``: the search without the laws.
+    """
+    whole_um, left_um = first.systematic_um[0], found.systematic_um[0]
+    least_um = _OF_PLACES * max(0.0, whole_um**2 - left_um**2) ** 0.5
+    return [
+        f
+        for f in found.found
+        if f.candidates.numbers(f.top.term) > _MANY
+        and not is_periodic(f.top.term.instance)
+        and not f.top.term.instance.effect.within_condition
+        and f.size_um < least_um
     ]
 
 

@@ -19,6 +19,7 @@ from dtwin.physics.problem import Problem, Term
 _SHARE_OF_REST = 0.1
 # More left than this many times the noise is misfit.
 MISFIT = 1.05
+_HARDLY_MORE = 1.25
 _PASSES = 8
 _MOVES = 40
 _SETTLED = 1e-3
@@ -65,6 +66,10 @@ class Hunt:
     def left(self, chosen: Sequence[Entry]) -> float:
         """Return the sum of squares that a set leaves."""
         return self.dictionary.total - self.dictionary.explained(chosen)
+
+    def leaves_noise(self, chosen: Sequence[Entry]) -> bool:
+        """Tell whether a set leaves hardly more than repeats disagree by."""
+        return self.left(chosen) < _HARDLY_MORE * self._noise
 
     def run(self, chosen: list[Entry]) -> list[Entry]:
         """Return the best set that is reached from one."""

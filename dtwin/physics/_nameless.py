@@ -9,11 +9,15 @@ import numpy as np
 from dtwin.physics._dictionary import Dictionary
 from dtwin.physics._hunt import Hunt
 from dtwin.physics._law_search import LawKey, law_keys
+from dtwin.physics._local_laws import MOST_TARGETS, local_laws
 from dtwin.physics.candidates import Candidates
 from dtwin.physics.effect import Instance
-from dtwin.physics.learned import law_size, learned_effect, name_of
+from dtwin.physics.learned import LEARNED, law_size, learned_effect, name_of
 from dtwin.physics.problem import INVISIBLE, Problem, Term, orthonormal, squares
 from dtwin.schema import Floats
+
+# Of what the library alone leaves, by laws of one place beside it.
+_CLEARLY = 0.5
 
 
 def nameless(problem: Problem, candidates: Candidates, believed: Sequence[Term]) -> list[Term]:
@@ -39,6 +43,27 @@ def nameless(problem: Problem, candidates: Candidates, believed: Sequence[Term])
     beside = candidates.given(problem, believed)
     chosen = Hunt(beside, Dictionary(beside, candidates.only([*rest, *offered]))).run([])
     return [entry.term for entry in chosen if entry.term.instance in offered]
+
+
+def local(problem: Problem, candidates: Candidates) -> list[Term]:
+    """Return laws of one place beside which effects of no more numbers leave an axis clearly less than the library alone.
+
+    A door that catches and a dent are, to the library, a curve beside a worn stretch, of many numbers.
+
+    ``problem``: whitened campaign with what the twin knows.
+    """
+    if candidates.obs.n_bins > MOST_TARGETS:
+        return []
+    offered = candidates.only([*candidates.instances, *local_laws(candidates.obs)])
+    hunt, alone = (Hunt(problem, Dictionary(problem, library)) for library in (offered, candidates))
+    chosen = hunt.run([])
+    laws = [entry.term for entry in chosen if entry.term.instance.effect.source == LEARNED]
+    if not laws:
+        return []
+    without = alone.run([])
+    more = sum(entry.free for entry in chosen) - sum(entry.free for entry in without)
+    simpler = more < 0 and hunt.leaves_noise(chosen)
+    return laws if simpler or (more <= 1 and hunt.left(chosen) < _CLEARLY * alone.left(without)) else []
 
 
 def _laws(candidates: Candidates) -> list[Term]:

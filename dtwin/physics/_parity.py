@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from dtwin.physics import localise
+from dtwin.physics._local_laws import MOST_TARGETS
 from dtwin.physics._rivals import Found
 from dtwin.physics._trust import does_um
 from dtwin.physics.candidates import Candidates
@@ -18,8 +19,6 @@ from dtwin.physics.search import Search
 from dtwin.schema import Floats
 from dtwin.units import shown_number
 
-# A curve has a number for every target; where there are more, waves and half waves say enough.
-_MOST_TARGETS = 150
 # A parity of which less is left, as RMS beside the other, stands in nobody's way.
 _STANDS = 0.3
 # What is seen only beside any curve must be surer and larger than what a search finds by itself.
@@ -39,7 +38,7 @@ def curves_left(answer: Diagnosis, first: Search, plain: Problem, candidates: Ca
     ``plain``: the campaign without weights, with what is known.
     """
     obs = plain.obs
-    if not obs.there_and_back or obs.n_bins > _MOST_TARGETS:
+    if not obs.there_and_back or obs.n_bins > MOST_TARGETS:
         return []
     left = localise.in_angle(candidates.given(plain, [f.top.term for f in _leaders(answer.found, first)]))
     means = localise.condition_means(obs, left)

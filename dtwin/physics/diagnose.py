@@ -20,6 +20,7 @@ from dtwin.physics._doubts import (
     LACK_OF_FIT,
     SPOKEN_OF,
     Tests,
+    beside_places,
     doubted,
     follows_unknown,
     halves_of_lobes,
@@ -30,24 +31,25 @@ from dtwin.physics._doubts import (
 )
 from dtwin.physics._grading import laws_of
 from dtwin.physics._law_search import search_laws
+from dtwin.physics._local_laws import laws_in_words
 from dtwin.physics._material import IMMATERIAL
 from dtwin.physics._measured_once import as_if_repeated
-from dtwin.physics._nameless import nameless
+from dtwin.physics._nameless import local, nameless
 from dtwin.physics._outliers import odd_of_two, odd_runs
 from dtwin.physics._parity import Curve, curves_left, joined
 from dtwin.physics._screen import Channel, screen_channels
 from dtwin.physics._spread import spread_of, unsteady
 from dtwin.physics._suspects import closest, members, sized, suspect, suspects
 from dtwin.physics._trust import sum_um, trusted
+from dtwin.physics._wording import many_runs, unexplained, unresolved_part
 from dtwin.physics.candidates import Candidates, applicable
-from dtwin.physics.diagnosis import Diagnosis, Unresolved, Verdict
+from dtwin.physics.diagnosis import Diagnosis, Verdict
 from dtwin.physics.effect import Effect
 from dtwin.physics.learned import can_learn
 from dtwin.physics.observations import Observations
 from dtwin.physics.problem import Problem, Term, set_up, unweighted, weighted_like
 from dtwin.physics.score import HIGHEST_HARMONIC
 from dtwin.physics.search import Search, search
-from dtwin.schema import Floats
 from dtwin.units import shown_number
 
 _FIT_IS_DOUBTFUL = 0.05
@@ -63,6 +65,8 @@ _LITTLE = 0.2
 _UNKNOWN = 0.3
 # What is seen only beside laws without a name, and is less than this of the noise floor, may be what they leave.
 _BESIDE_LAWS = 0.5
+
+_NOTHING: tuple[Verdict, ...] = ("nothing_missing", "variance_effect")
 
 
 def diagnose(obs: Observations, known: Sequence[Term], library: Mapping[str, Effect], *, seed: int = 0) -> Diagnosis:
@@ -107,6 +111,12 @@ def diagnose(obs: Observations, known: Sequence[Term], library: Mapping[str, Eff
     concluded = partial(_concluded, blank, problem, candidates, known, channels, library, seed)
     first = searched(problem, known)
     answer = concluded(first, first)
+    places = local(problem, candidates) if obs.there_and_back and answer.verdict not in _NOTHING else []
+    if places:
+        beside_them = [*known, *places]
+        found = searched(beside(weighted_like(obs, beside_them, noise)), beside_them)
+        other = concluded(found, first, places)
+        return other if other.found else concluded(first, first, places, none=True)
     left = answer.unresolved
     if left is None or left.share < _UNKNOWN**2:
         return answer
@@ -224,7 +234,7 @@ def _concluded(
     bare = unweighted(obs, known)
     tests = _tests(found)
     words = localise.headline(obs, localise.in_angle(bare))
-    few = f"tested, but {_many(obs)} do not tell what moves between them"
+    few = f"tested, but {many_runs(obs)} do not tell what moves between them"
     blank = replace(
         blank,
         lack_of_fit_p=first.lack_of_fit[0],
@@ -243,6 +253,8 @@ def _concluded(
     doubts += [f for f in halves_of_lobes(found, bare, candidates) if f not in doubts]
     doubts += hidden_by(doubts, found, tests)
     least_um = _BESIDE_LAWS * blank.noise_floor_um if unknown else 0.0
+    if places := list(unknown) if obs.there_and_back else []:
+        doubts += [f for f in beside_places(found, first) if f not in doubts]
     kept = [
         f
         for f in trusted(found, doubts, much)
@@ -256,10 +268,11 @@ def _concluded(
     others = [f for f in found.found if f not in kept]
     told = unknown or much or others or _worth_telling(found, blank.noise_floor_um)
     terms = [f.top.term for f in kept]
-    left = localise.in_angle(candidates.given(bare, terms))
+    left = localise.in_angle(candidates.given(bare, [*terms, *places]))
     found = replace(found, first=first.first, systematic_um=(first.systematic_um[0], found.systematic_um[1]))
     fit_p = first.lack_of_fit[0] if others or unknown else found.lack_of_fit[1]
-    unresolved = _unresolved(found, left, fit_p) if told else None
+    beside_um, where = laws_in_words(places, bare, terms, candidates) if places else (0.0, "")
+    unresolved = unresolved_part(found, left, fit_p, beside_um, where) if told else None
     laws = tuple(search_laws(candidates.given(problem, terms))) if told else ()
     # What was found and not believed is shown with the tests that say why.
     withdrawn = [
@@ -274,7 +287,7 @@ def _concluded(
         return replace(
             blank,
             verdict="unknown_effect",
-            headline=_unexplained(words, channels, found, known),
+            headline=unexplained(where or words, channels, found, known),
             closest=closest(found, candidates) if found.untold else found.found[0].label,
         )
     single = all(len(group) == 1 for group in groups)
@@ -283,7 +296,9 @@ def _concluded(
     said = f"{names} {'is' if len(groups) == 1 else 'are'} missing" if single else names
     said += f": {words}"
     if unresolved is not None:
-        said += f"; besides, {shown_number(unresolved.systematic_rms_um, 2)} µm is not resolved"
+        said += f"; besides, {shown_number(unresolved.systematic_rms_um, 2)} µm is not resolved" + f": {where}" * bool(
+            where
+        )
     if foreign:
         said += f"; besides, something moves with {', '.join(foreign)}"
     return replace(blank, verdict=verdict, headline=said, found=groups)
@@ -318,39 +333,10 @@ def _nothing_found(
         verdict="unknown_effect",
         suspects=shown,
         laws=laws,
-        unresolved=_unresolved(found, localise.in_angle(found.plain), found.lack_of_fit[1]),
-        headline=_unexplained(words, channels, found, known),
+        unresolved=unresolved_part(found, localise.in_angle(found.plain), found.lack_of_fit[1]),
+        headline=unexplained(words, channels, found, known),
         closest=closest(found, candidates),
     )
-
-
-def _many(obs: Observations) -> str:
-    return f"{int(obs.run_of.max()) + 1} runs"
-
-
-def _unresolved(found: Search, left: Floats, p_value: float) -> Unresolved:
-    """Describe what the effects that are believed leave."""
-    obs = found.plain.obs
-    rms_um = localise.systematic_rms_um(obs, left)
-    return Unresolved(
-        systematic_rms_um=rms_um,
-        share=min(1.0, (rms_um / max(found.systematic_um[0], 1e-9)) ** 2),
-        p_value=p_value,
-        words=localise.headline(obs, left),
-        where=localise.worst_places(obs, left),
-    )
-
-
-def _unexplained(words: str, channels: Sequence[Channel], found: Search, known: Sequence[Term]) -> str:
-    because = "no known effect explains it"
-    if known:
-        whole_um = localise.systematic_rms_um(found.plain.obs, localise.residual_um(found.plain.obs, []))
-        of_um = f"{shown_number(found.systematic_um[0], 2)} of {shown_number(whole_um, 2)} µm"
-        because = f"no known effect explains what is left, {of_um}"
-    if found.untold:
-        because = f"{' or '.join(found.untold)} may be it, which {_many(found.plain.obs)} do not tell"
-    moving = ", ".join(c.name for c in channels)
-    return f"{because}: {words}" + f"; it moves with {moving}" * bool(moving)
 
 
 def _much_left(found: Search, floor_um: float) -> bool:

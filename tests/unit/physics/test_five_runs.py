@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 
@@ -153,6 +155,19 @@ def test_what_the_sweeps_have_in_common_is_no_drift() -> None:
 def test_what_the_library_does_not_have_gets_no_name(shape: Floats) -> None:
     found = diagnose(campaign(shape, np.random.default_rng(3)), [], LIBRARY)
     assert found.verdict == "unknown_effect", found.headline
+
+
+def test_what_happens_at_one_place_is_said_and_is_no_curve_and_no_wear() -> None:
+    """A door catches the slide past 400 mm, and lets it go 60 mm later on the way back; beside it play and lead."""
+    forward, reverse = AT_MM > 400.0, AT_MM > 340.0
+    told = 6.0 * SHARE + np.array([[-1.5], [1.5]])
+    found = diagnose(campaign(told + 5.0 * np.stack([forward, reverse]), np.random.default_rng(4)), [], LIBRARY)
+    assert {group[0].label for group in found.found} == {"lead_error X", "backlash X"}
+    assert found.unresolved is not None
+    size_um, there_mm, back_mm = map(float, re.findall(r"[\d.]+(?= µm at| mm)", found.unresolved.words))
+    assert found.headline.endswith(found.unresolved.words)
+    assert (size_um, there_mm, back_mm) == pytest.approx((5.0, 400.0, 340.0), abs=AT_MM[-1] / TARGETS)
+    assert size_um == pytest.approx(5.0, abs=0.3)
 
 
 @pytest.mark.parametrize(
