@@ -32,12 +32,11 @@ def laws_of(effect: Found, effects: int) -> Mapping[str, list[LawTest]]:
 
 
 def _own_tests(effect: Found, candidate: Candidate) -> list[LawTest]:
-    """Test the law of a member of a group, beside its likes where only all of them together are a rival."""
+    """Test the law of a member of a group, beside the others where only all of them together are a rival."""
     problem, library, own = effect.problem, effect.candidates, candidate.term
     if own.label not in effect.together:
         return law_tests(problem, library, candidate, effect.level)
-    like = [c.term for c in effect.group if c.term.instance.effect is own.instance.effect and c is not candidate]
-    problem = library.given(problem, like)
+    problem = library.given(problem, effect.together[own.label])
     beside = library.tested_term(problem, own, effect.level)
     return [] if beside is None else law_tests(problem, library, beside, effect.level)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -42,7 +43,7 @@ class Found:
     ``top``: the effect, tested against what all the others leave.
     ``group``: it, and what these runs cannot tell from it, best first.
     ``absorbed``: those of the group that cannot be seen beside the effect: they may be there as well.
-    ``together``: those that are rivals only with their likes on other axes.
+    ``together``: those that are rivals only beside others, by label, with these.
     ``problem``: the campaign with all the other effects that were found.
     ``candidates``: the library where it was tested.
     ``gain``: gain on conditions that were left out.
@@ -53,7 +54,7 @@ class Found:
     top: Candidate
     group: tuple[Candidate, ...]
     absorbed: frozenset[str]
-    together: frozenset[str]
+    together: Mapping[str, Sequence[Term]]
     problem: Problem
     candidates: Candidates
     level: NoiseLevel
@@ -114,6 +115,8 @@ def described(
         group += sets
         two = _two_instead(given, few, candidates, top, rivals, group, level)
         group += two or _beside_a_part(given, candidates, top, group, level)
+        parts = _parts_instead(given, candidates, top, group, level)
+        group += parts
         beside_top = candidates.given(given, [term])
         group = tuple(c for c in group if c in sets or _is_possible(given, candidates, c, beside_top)) or group
         top, term = group[0], group[0].term
@@ -130,7 +133,12 @@ def described(
         visible = everywhere.visible(bare, term)
         fitted = (visible @ (visible.T @ bare.residual.ravel())).reshape(bare.residual.shape)
         size_um = everywhere.size_um(bare, term)
-        together = frozenset(c.term.label for c in sets)
+        together = {
+            c.term.label: [o.term for o in parts if o is not c]
+            if c in parts
+            else [o.term for o in group if o.term.instance.effect is c.term.instance.effect and o is not c]
+            for c in (*sets, *parts)
+        }
         out.append(Found(top, group, absorbed, together, given, candidates, level, gain, size_um, fitted))
     return tuple(sorted(out, key=lambda f: -f.size_um))
 
@@ -285,6 +293,30 @@ def _two_instead(
             beside = refined(few.given([first.term]), [second.term], bounded=True)
             if _is_nothing(candidates.given(given, beside), candidates, top, level, _SIMPLER_P):
                 return tuple(c for c in (first, second) if c.term.label not in have)
+    return ()
+
+
+def _parts_instead(
+    problem: Problem, candidates: Candidates, top: Candidate, group: Sequence[Candidate], level: NoiseLevel
+) -> tuple[Candidate, ...]:
+    """Return two simple effects that only together are what one is to a tone: far below a mode or the bandwidth of a loop, these are inertia and a delay."""
+    if problem.obs.grid.in_plane:
+        return ()
+    have = {c.term.label for c in group}
+    alike = [
+        Term(i)
+        for i in candidates.instances
+        if i.effect.name in top.term.instance.effect.confusables and not i.effect.shapes and i.label not in have
+    ]
+    for pair in itertools.combinations(alike, 2):
+        both = [candidates.tested_term(problem, term, level) for term in pair]
+        parts = tuple(c for c in both if c is not None)
+        if (
+            len(parts) == len(pair)
+            and sum(map(candidates.numbers, pair)) < candidates.numbers(top.term)
+            and _is_nothing(candidates.given(problem, pair), candidates, top, level, _SIMPLER_P)
+        ):
+            return parts
     return ()
 
 

@@ -34,6 +34,7 @@ class Parameter:
         typical: Size on an ordinary machine, for planning.
         once: The parameter that stood for this one too in versions that were stored before there were two.
         positive: Whether nature lets it have one sign only, as a compliance has.
+        most: Size beyond which no machine is; by default 200 times the typical one.
     """
 
     name: str
@@ -41,11 +42,12 @@ class Parameter:
     typical: float
     once: str = ""
     positive: bool = False
+    most: float | None = None
 
     @property
     def largest(self) -> float:
         """Size beyond which no machine is: such a value is a finding, not a result."""
-        return _LARGEST * self.typical
+        return _LARGEST * self.typical if self.most is None else self.most
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,8 @@ EFFECT = Effect(
     cause="scale",
     title="Lead error",
     group="geometry",
-    parameters=(Parameter("lead", "ppm", 20.0),),
+    # To a tone the scale is the gain of a probe or of a piezo, which may be off by some per cent.
+    parameters=(Parameter("lead", "ppm", 20.0, most=50_000.0),),
     regressors=_columns,
     law=Law(None, None, "even"),
     meaning="The lead of screw or scale is off by a constant share.",

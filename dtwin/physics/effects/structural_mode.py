@@ -31,6 +31,6 @@ EFFECT = Effect(
         ShapeParameter("frequency_hz", "Hz", 80.0, _FREQUENCIES_HZ),
         ShapeParameter("damping", "1", 0.05, (0.02, 0.05, 0.1)),
     ),
-    confusables=("servo_response", "inertial_compliance", "stiffening_joint"),
+    confusables=("servo_response", "inertial_compliance", "stiffening_joint", "tracking_delay"),
     correctable="Divide the command by the response.",
 )

@@ -19,7 +19,7 @@ EFFECT = Effect(
     name="tracking_delay",
     title="Tracking delay",
     group="dynamics",
-    parameters=(Parameter("delay", "ms", 0.1),),
+    parameters=(Parameter("delay", "ms", 0.1, most=500.0),),
     regressors=_columns,
     law=Law(1.0, 0.0, "even"),
     meaning="Dead time or velocity lag: the tool is where the command was a moment ago.",

@@ -87,3 +87,19 @@ def test_the_loop_of_a_slow_or_a_fast_slide_is_named(
     found = named([1.6 * damping * w, w**2], [1.0, 2.0 * damping * w, w**2], frequencies_hz, amplitudes_um, noise_um)
     assert [s.label for s in found.group][:1] == ["servo_response Z"], found.headline
     assert len(found.found) == 1, found.headline
+
+
+def test_a_gain_that_is_off_by_one_per_cent_is_a_scale() -> None:
+    found = named([1.01], [1.0], FAST, FAST_UM, 0.01)
+    assert [group[0].label for group in found.found] == ["lead_error Z"], found.headline
+
+
+def test_inertia_and_a_delay_together_are_what_a_mode_or_a_loop_is_far_above_the_tones() -> None:
+    w, late_s = 2.0 * np.pi * 150.0, 3e-4
+    # After Pade, to second order.
+    dead = late_s**2 / 12.0, late_s / 2.0, 1.0
+    numerator = np.polymul([dead[0], -dead[1], 1.0], [0.06 * w, w**2])
+    denominator = np.polymul(dead, [1.0, 0.06 * w, w**2])
+    found = named(numerator.tolist(), denominator.tolist(), SLOW, SLOW_UM, 0.3)
+    told = {s.effect for s in found.group}
+    assert told == {"structural_mode", "servo_response", "inertial_compliance", "tracking_delay"}, found.headline
