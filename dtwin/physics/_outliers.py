@@ -12,10 +12,12 @@ from dtwin.physics.candidates import Candidates
 from dtwin.physics.effect import Instance
 from dtwin.physics.observations import Observations
 from dtwin.physics.problem import Problem
-from dtwin.physics.whitening import harmonic_numbers
+from dtwin.physics.whitening import from_harmonics, harmonic_numbers
 from dtwin.schema import Floats
 
 _RATIO = 12.0
+# Along an axis: runs, and numbers of the curve of a sweep that is no part of what is odd.
+_FEWEST_RUNS, _BENDS = 4, 4
 _LOW_RATIO = 40.0
 _LOW_HARMONICS = 13
 _MOST_SHARE = 0.1
@@ -35,6 +37,8 @@ def odd_runs(problem: Problem) -> list[int]:
     tenth of the runs is called odd, the worst ones; beyond that the campaign is noisy, not spoilt.
     """
     obs = problem.obs
+    if obs.there_and_back:
+        return _odd_sweeps(problem)
     if problem.noise is None or obs.n_bins < _FEWEST_POINTS:
         return []
     parts = _parts(problem)
@@ -57,6 +61,29 @@ def odd_runs(problem: Problem) -> list[int]:
     score = worst.max(axis=1)
     order = [i for i in np.argsort(-score) if score[i] > _RATIO]
     return [rows[i] for i in order[: max(1, int(_MOST_SHARE * obs.n_rows))]]
+
+
+def _odd_sweeps(problem: Problem) -> list[int]:
+    """Return the rows of the run along an axis that is rougher than all others, as of one that was knocked or read through stirred air.
+
+    What warms up, drifts and creeps bends whole sweeps: a curve of third order of each is no part of it.
+    """
+    obs = problem.obs
+    rows = [np.flatnonzero(obs.run_of == run) for run in range(int(obs.run_of.max()) + 1)]
+    if len(rows) < _FEWEST_RUNS or obs.n_bins <= 2 * _BENDS or len({len(r) for r in rows}) > 1 or not obs.mask.all():
+        return []
+    low, high = obs.grid.points.min(), obs.grid.points.max()
+    along = (2.0 * obs.grid.points - low - high) / (high - low)
+    bends = np.linalg.qr(np.polynomial.legendre.legvander(along, _BENDS - 1))[0]
+    plain = from_harmonics(problem.residual / problem.weights)
+    rough = plain - (plain @ bends) @ bends.T
+    sweeps = np.stack([rough[r].ravel() for r in rows])
+    ratios = []
+    for run in range(len(rows)):
+        gap, spread = _gap_and_spread(sweeps[run], np.delete(sweeps, run, axis=0))
+        ratios.append(gap / max(spread, 1e-300))
+    worst = int(np.argmax(ratios))
+    return rows[worst].tolist() if ratios[worst] > _RATIO else []
 
 
 def odd_of_two(problem: Problem, tried: Sequence[Instance], again: Callable[[Observations], Problem]) -> list[int]:

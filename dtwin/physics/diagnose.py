@@ -80,7 +80,7 @@ def diagnose(obs: Observations, known: Sequence[Term], library: Mapping[str, Eff
     within = [Term(i, i.effect.start_shape) for i in tried if i.effect.within_condition]
     problem = set_up(obs, known, within)
     dropped = odd_runs(problem) or odd_of_two(problem, tried, lambda others: set_up(others, known, within))
-    outliers = tuple(obs.runs[i].run_id for i in dropped)
+    outliers = tuple(dict.fromkeys(obs.runs[i].run_id for i in dropped))
     if dropped:
         obs = obs.without(dropped)
         problem = set_up(obs, known, within)

@@ -196,6 +196,25 @@ def test_a_curve_that_nothing_explains_hides_nothing_of_the_other_parity(even: b
     assert f"besides, {found.unresolved.systematic_rms_um:.2g} µm is not resolved" in found.headline
 
 
+@pytest.mark.parametrize("how", ["knocked", "through stirred air"])
+def test_a_run_that_is_spoilt_is_left_out_and_hides_nothing(how: str) -> None:
+    rng = np.random.default_rng(12)
+    error = np.zeros((RUNS, 2, TARGETS)) + 4.0 * SHARE + np.array([[-1.0], [1.0]])
+    # In the order of time: forward, then back from the far end.
+    error[2, 0, 20:] += 7.0 * (how == "knocked")
+    error[2, 1] += 7.0 * (how == "knocked")
+    error[2] += 3.0 * rng.standard_normal((2, TARGETS)) * (how != "knocked")
+    found = diagnose(campaign(error, rng), [], LIBRARY)
+    assert found.outlier_runs == ("r2",)
+    assert {group[0].label for group in found.found} == {"lead_error X", "backlash X"}
+
+
+def test_a_first_run_that_warms_up_is_not_spoilt() -> None:
+    passes = np.arange(2 * RUNS).reshape(RUNS, 2, 1) + np.stack([SHARE, 1.0 - SHARE])
+    warmed = 12.0 * SHARE * -np.expm1(-passes / 0.7)
+    assert diagnose(campaign(warmed, np.random.default_rng(13), noise_um=0.1), [], LIBRARY).outlier_runs == ()
+
+
 def test_five_targets_make_a_twin() -> None:
     five_mm = np.array([15.0, 25.2, 35.4, 45.6, 55.8])
     obs = campaign(np.array([[-2.0], [2.0]]), np.random.default_rng(6), at_mm=five_mm)
