@@ -27,7 +27,7 @@ _DIFFERENCE = re.compile(r"rise|delta|diff|[Δδ]", re.I)
 _UNITS: Mapping[str, tuple[str, float]] = {
     **{name: ("um", UM_PER_MM * mm) if mm < _LEAST_MM else ("mm", mm) for name, mm in LENGTHS_MM.items()},
     **{name: ("s", seconds) for name, seconds in TIMES_S.items()},
-    **dict.fromkeys(("°", "deg", "degree", "degrees", "度"), ("deg", 1.0)),
+    **dict.fromkeys(("°", "deg", "degree", "degrees", "度", "gradi", "grados", "degrés"), ("deg", 1.0)),
     **dict.fromkeys(("gon", "gons", "gradian", "gradians"), ("deg", 0.9)),
     "rad": ("deg", 180.0 / math.pi),
     **dict.fromkeys(("°c", "c", "degc", "c°", "celsius", "gradc", "gradcelsius"), ("c", 1.0)),
@@ -77,7 +77,10 @@ _GRAD = "grad"
 _VALUE = re.compile(r"\d[.,:/-]?\d")
 _GRAD_WHY_NOT = "grad is a degree in German and 1/400 of a turn elsewhere: write ° or gon"
 _BETWEEN = {("mm", "um"): 1000.0, ("um", "mm"): 1e-3, ("rad", "deg"): 180.0 / math.pi, ("ms", "s"): 1e-3}
-DEVIATION = re.compile(r"^(radial(e|er)?[ -]?)?(deviation|dev\.?|abweichung)$", re.I)
+DEVIATION = re.compile(
+    r"^((radi(al|us)(e|er)?[ -]?|kreis(form)?)?(deviation|dev\.?|abweichung)|radi(al|us)(er)?[ -]?(error|fehler)|[Δδd]r|delta r)$",
+    re.I,
+)
 """Head of a deviation from a circle whose direction is not told."""
 _HEADS = (
     (re.compile(r"^(t|time|zeit|elapsed( time)?|time elapsed|messzeit|time ?stamp|epoch|unix ?time)$", re.I), "t", "s"),
@@ -309,7 +312,7 @@ def columns_of(heads: Sequence[str], units: Sequence[str] | None, answers: Mappi
 def _column(head: str, unit_below: str, answer: str | None) -> Column:
     said = in_english(head)
     match = _WITH_UNIT.match(said) or _SAID.match(said)
-    if match and match.re is _SAID and _plain(match[2]) not in _UNITS:
+    if match and match.re is _SAID and _plain(match[2]) not in (*_UNITS, _GRAD):
         match = None
     if answer is None and not unit_below and said.strip().lower() in _TIME_ALONE:
         return Column(head, said, "t_s", TIMES_S[said.strip().lower()])

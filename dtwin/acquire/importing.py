@@ -38,7 +38,7 @@ from dtwin.acquire.foreign_columns import (
 from dtwin.acquire.repeated_heads import require_heads_for_all
 from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
 from dtwin.acquire.spreadsheet import table_bytes
-from dtwin.acquire.table_dialect import DECIMALS, decoded, encoding_of, is_comment, mark_of, rows_of
+from dtwin.acquire.table_dialect import DECIMALS, decoded, encoding_of, is_comment, mark_of, remarks_of, rows_of
 from dtwin.atomic import make_folder, write_text, write_toml
 from dtwin.config import Home
 from dtwin.errors import InputError
@@ -163,7 +163,7 @@ def look(path: Path, home: Home, decimal: str = "", axis: str = "") -> Looked:
         sign,
         stored,
         tuple(map(tuple, rows[begin:])),
-        tuple(map(tuple, rows[:begin])),
+        tuple(map(tuple, [*remarks_of(text), *rows[:begin]])),
         of_channels,
     )
 
@@ -249,7 +249,7 @@ def understand(
             write_text(lone, plain, "a table")
         kind = str(told.get("kind") or "") or _kind(lone, plain.partition("\n")[0].split(","), columns, path, told)
         if not known:
-            told |= kind_named(kind).titled(looked.titles, told, path)
+            told |= kind_named(kind).titled(looked.titles, columns, looked.body, told, path)
         missing = tuple(name for name in kind_named(kind).stated or () if name not in told)
         runs: tuple[tuple[str, int], ...] = ()
         if not missing:

@@ -6,7 +6,7 @@ import codecs
 import csv
 import re
 from collections.abc import Sequence
-from itertools import zip_longest
+from itertools import takewhile, zip_longest
 
 STATISTICS = r"avg|average|mean|std|stdev|sigma|range|mittel\w*|spannweite|streuung|moyenne|media|promedio|平均"
 SUMMARY = re.compile(rf"({STATISTICS}|min|max)\b", re.I)
@@ -73,6 +73,16 @@ def decoded(data: bytes) -> str:
 def is_comment(line: str) -> bool:
     """Return whether a line is a remark and no row."""
     return _COMMENT.match(line) is not None
+
+
+def remarks_of(text: str) -> list[list[str]]:
+    """Return the remarks that stand above a table, as titles of a cell each."""
+    lines = (line for line in text.splitlines()[:_SNIFFED_LINES] if line.strip())
+    return [
+        [line.strip(" #\t")]
+        for line in takewhile(lambda line: is_comment(line) or not _LONE_NUMBER.match(line), lines)
+        if is_comment(line)
+    ]
 
 
 def mark_of(lines: list[str]) -> str:

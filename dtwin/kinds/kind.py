@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
     import plotly.graph_objects as go
 
+    from dtwin.acquire.foreign_columns import Column
     from dtwin.config import Home
     from dtwin.kinds.machine import VirtualMachine
     from dtwin.kinds.volumetric.heat_twins import HeatTwins
@@ -193,12 +194,19 @@ class Kind:
         """Return whether a file that lies alone is of this kind, though it has not its columns."""
         return self._done("takes_alone")(path) if "takes_alone" in self.places else False
 
-    def titled(self, titles: Sequence[Sequence[str]], stated: Mapping[str, Any], path: Path) -> Mapping[str, Any]:
-        """Return what the titles above a table tell of its run; refuse another condition than one that is stated.
+    def titled(
+        self,
+        titles: Sequence[Sequence[str]],
+        columns: Sequence[Column],
+        body: Sequence[Sequence[str]],
+        stated: Mapping[str, Any],
+        path: Path,
+    ) -> Mapping[str, Any]:
+        """Return what a table, and the titles above it, tell of its run; refuse another condition than one that is stated.
 
         ``titles``: cells of each line.
         """
-        return self._done("titled")(titles, stated, path) if "titled" in self.places else {}
+        return self._done("titled")(titles, columns, body, stated, path) if "titled" in self.places else {}
 
     def plan(self, document: Mapping[str, Any], where: str) -> Planned:
         """Return the plan that a plan file states; ``where`` is its name, for error messages."""

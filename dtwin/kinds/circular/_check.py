@@ -17,6 +17,8 @@ from dtwin.units import shown_number
 
 # A ball bar measures about a millimetre each way; more is a wrong unit or a lost ball.
 _SAME_RADIUS = 0.01
+_OTHER_FEED = 0.25
+"""Of the feed that is told, and of the rows."""
 _MAX_DEVIATION_UM = 2_500.0
 # A zero is off by so many times what readings differ by.
 _MANY_TIMES = 2.0
@@ -91,6 +93,10 @@ def judge_circular_campaign(runs: Sequence[Run]) -> Iterator[Finding]:
 
 def _radius(run: Run) -> list[Finding]:
     radius, (low, high) = run.meta.radius_mm, _BALL_BAR_MM
+    feed, feeds = run.meta.feed_mm_min, run.samples.get("feed_mm_min")
+    if feed is not None and feeds is not None and np.mean(np.abs(feeds - feed) > _OTHER_FEED * feed) > _OTHER_FEED:
+        said = f"the file has a column of feeds from {feeds.min():z.6g} to {feeds.max():z.6g} mm/min, and {feed:g} mm/min is told: rows are of another test"
+        return [Finding("feed.told", "error", said, {"read_mm_min": float(np.median(feeds)), "told_mm_min": feed})]
     if radius is not None and "radius_mm" in run.samples:
         read = float(np.median(run.samples["radius_mm"]))
         if abs(read - radius) > _SAME_RADIUS * radius:

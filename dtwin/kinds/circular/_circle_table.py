@@ -35,24 +35,26 @@ from dtwin.acquire.foreign_columns import (
 )
 from dtwin.acquire.repeated_heads import counts_repeats, require_heads_for_all
 from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
-from dtwin.acquire.spreadsheet import first_rows, table_bytes
-from dtwin.acquire.table_dialect import decoded, rows_of
+from dtwin.acquire.spreadsheet import first_text, table_bytes
+from dtwin.acquire.table_dialect import decoded, remarks_of, rows_of
 from dtwin.errors import InputError
 from dtwin.kinds.circular._circle_ways import (
-    DIRECTION,
     bare,
     beside_way,
     blocks,
     coarse,
     deviates,
+    direction_column,
     in_motion,
     may_be_gon,
     require_one_way,
     require_ways,
+    run_column,
     stretches,
     way_of,
     way_of_title,
 )
+from dtwin.kinds.circular._one_circle import require_one_circle
 from dtwin.kinds.circular._titles import require_as_titled
 from dtwin.schema import Campaign, Direction, Finding, Floats, Run, RunMeta
 from dtwin.units import UM_PER_MM
@@ -104,9 +106,8 @@ def is_circle_table(path: Path) -> bool:
     if path.suffix.lower() not in SUFFIXES or not path.is_file():
         return False
     try:
-        lines = first_rows(path, _MAX_BYTES)
-        columns, body = _table(lines, path)
-        return _form_of(columns, lines[: len(lines) - len(body)]) is not None
+        above, columns, body = _seen(first_text(path, _MAX_BYTES), path)
+        return _form_of(columns, above, body) is not None
     except InputError:
         return False
 
@@ -122,10 +123,8 @@ def read_circle_runs(
     """
     text = decoded(table_bytes(path, _MAX_BYTES))
     require_heads_for_all(text, path)
-    lines = rows_of(text)
-    columns, body = _table(lines, path)
-    above = lines[: len(lines) - len(body)]
-    form = _form_of(columns, above)
+    above, columns, body = _seen(text, path)
+    form = _form_of(columns, above, body)
     require_as_titled(above, stated, path)
     require_usual_sign(above, path)
     _require_one_meaning(columns, path)
@@ -164,6 +163,9 @@ def read_circle_runs(
         curves += [(way, values[i]) for i, way in form.ways]
     if not form.pair and not stated.get("direction") and any(way is None for way, _ in curves):
         require_one_way(above, path)
+    parts = blocks(columns, above, body)
+    ways = [next((told for told, part in parts if part[n]), None) for n in range(len(body))]
+    require_one_circle(columns, body, angle, ways, needed, path)
     runs: list[Run] = []
     for way, deviation_um in curves:
         good = np.isfinite(angle) & np.isfinite(deviation_um)
@@ -174,7 +176,7 @@ def read_circle_runs(
             | ({} if form.time is None else {"t_s": values[form.time]})
             | kept
         )
-        for told, part in blocks(columns, above, body):
+        for told, part in parts:
             block = {name: column[good & part] for name, column in rows.items()}
             runs += _runs(block, way if form.pair else way or told, stated, str(path), timed=len(form.ways) == 1)
     if not runs:
@@ -194,7 +196,9 @@ def read_circle_runs(
     return _counted(runs, int(stated.get("repeat", 1))), rejects
 
 
-def _table(rows: list[list[str]], path: Path) -> tuple[tuple[Column, ...], list[list[str]]]:
+def _seen(text: str, path: Path) -> tuple[list[list[str]], tuple[Column, ...], list[list[str]]]:
+    """Return the titles and remarks above a table, its columns and its rows."""
+    lines = rows = rows_of(text)
     if rows and all(len(row) == 1 for row in rows):
         # Parted by blanks, which may stand before a unit, too.
         rows = [re.sub(r"\s+(?=[\[(])", "", row[0]).split() for row in rows]
@@ -202,10 +206,10 @@ def _table(rows: list[list[str]], path: Path) -> tuple[tuple[Column, ...], list[
     begin = header_row(rows, path)
     heads = [cell.strip() for cell in rows[begin]]
     units, body = below_heads(rows, begin)
-    return columns_of(heads, units, {}), body
+    return [*remarks_of(text), *lines[: len(lines) - len(body)]], columns_of(heads, units, {}), body
 
 
-def _form_of(columns: Sequence[Column], above: Sequence[Sequence[str]]) -> _Form | None:
+def _form_of(columns: Sequence[Column], above: Sequence[Sequence[str]], body: Sequence[Sequence[str]]) -> _Form | None:
     names = [bare(column) for column in columns]
     first = {
         pattern: next((i for i, n in enumerate(names) if pattern.match(n)), None)
@@ -214,7 +218,9 @@ def _form_of(columns: Sequence[Column], above: Sequence[Sequence[str]]) -> _Form
     ways: tuple[tuple[int, Direction | None], ...] = tuple(
         (i, way_of(name)) for i, name in enumerate(names) if way_of(name)
     )
-    told = any(map(DIRECTION.match, names)) or any(map(way_of_title, above))
+    told = (
+        direction_column(columns, body) is not None or run_column(columns) is not None or any(map(way_of_title, above))
+    )
     ways = ways or tuple((i, None) for i, c in enumerate(columns) if c.head == "deviation_um" or (told and deviates(c)))
     pair = tuple(
         (i, match[3].upper()) for i, match in ((i, _COORDINATE.match(n)) for i, n in enumerate(names)) if match
@@ -226,7 +232,7 @@ def _form_of(columns: Sequence[Column], above: Sequence[Sequence[str]]) -> _Form
     lengths = all(columns[i].name.endswith(("_mm", "_um")) or not columns[i].unit for i, _ in pair)
     if len({axis for _, axis in pair}) == len(pair) == 2 and lengths and known == 2 + (form.time is not None) == actual:
         return _Form(None, form.time, None, (), pair)
-    if {"t_s", "angle_deg", "deviation_um"} <= {column.head for column in columns}:
+    if not told and {"t_s", "angle_deg", "deviation_um"} <= {column.head for column in columns}:
         return None
     # Deviations under another name are imported, column by column.
     foreign = not ways and any(map(DEVIATION.match, names))

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from functools import lru_cache
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -14,9 +16,11 @@ from dtwin.errors import InputError
 from dtwin.schema import Direction, Finding, Floats
 from dtwin.units import shown_number
 
-_CLOCK = r"(clock[- ]?wise|uhrzeiger(sinn|richtung)?|uzs\b|(sens[- ])?horaire|h?orario)"
+_CLOCK = r"(clock[- ]?wise|uhrzeiger(sinn|richtung)?|\bi?uzs?\b|(sens[- ])?horaire|h?orario)"
 _AGAINST = r"(sens[- ])?(counter|anti|against|contra|contre|contro|entgegen|gegen|inverse?|not|non|nicht)([- ]*(dem|den|des|du|al|the|to|sens))*[- ]*"
 _SPELT = (
+    (re.compile(r"\bguzs?\b|↺", re.I), "ccw"),
+    (re.compile("↻"), "cw"),
     (re.compile(rf"{_AGAINST}({_CLOCK}|cw\b)", re.I), "ccw"),
     (re.compile(rf"(im )?{_CLOCK}", re.I), "cw"),
     # The probe on the left is no direction.
@@ -25,7 +29,11 @@ _SPELT = (
 )
 """How a direction is spelt out, those against the clock first: their names hold the others."""
 _WAYS = {"ccw": "CCW", "acw": "CCW", "g03": "CCW", "g3": "CCW", "cw": "CW", "g02": "CW", "g2": "CW"}
-DIRECTION = re.compile(r"^(direction|dir|richtung|drehrichtung|drehsinn|sens(e|o)?)$", re.I)
+_DIRECTION = re.compile(
+    r"(.*[\s-])?(direction|dir|\w*richtung|\w*sinn|sens(e|o)?|sentido|rotation|way|\w*方向)\.?( (of|de|di) \w+| code)?",
+    re.I,
+)
+_SIDES = re.compile(r"left|right|links|rechts")
 
 _BACK_DEG = 20.0
 """How far an angle runs back where the direction changes."""
@@ -34,13 +42,15 @@ _STANDS = 5
 _COARSE_UM = (1000.0, 100.0, 10.0, 1.0)
 """Steps of coordinates that hide what is told of a circle."""
 _RUN = re.compile(
-    r"^(run|repeat|repetition|lauf|durchgang|messung|wiederholung|test)( ?(no|nr|number|nummer)\.?)?$", re.I
+    r"(run|repeat|repetition|lauf|durchgang|messung|messreihe|wiederholung|test|circle|kreis|cycle|zyklus|pass|series?|serie|essai|prova|prueba)( ?(no|nr|number|nummer|id)\.?)?",
+    re.I,
 )
 
 
 def bare(column: Column) -> str:
     """Return a head without its unit, in small letters, with blanks."""
     base = re.sub(r"[\[(].*?[\])]", "", in_english(column.head)).strip()
+    base = re.sub(rf"(\s+in\s+|\s*/\s*){re.escape(column.unit)}$", "", base) if column.unit else base
     return re.sub(r"[_\s]+", " ", base.removesuffix(f"_{column.unit}")).strip().lower()
 
 
@@ -56,11 +66,11 @@ def blocks(
 
     A column that counts runs parts them, too.
     """
-    counted = next((i for i, c in enumerate(columns) if _RUN.match(bare(c))), None)
+    counted = run_column(columns)
     of_run = [row[counted].strip() if counted is not None and counted < len(row) else "" for row in body]
     # A number for each row counts rows.
     of_run = of_run if 2 * len(set(of_run)) < len(of_run) else [""] * len(of_run)
-    column = next((i for i, c in enumerate(columns) if DIRECTION.match(bare(c))), None)
+    column = direction_column(columns, body)
     told_above = ways_above(above)
     ways: list[Direction | None] = [told_above.pop() if len(told_above) == 1 else None]
     begins = [0]
@@ -98,9 +108,26 @@ def require_one_way(above: Sequence[Sequence[str]], path: Path) -> None:
         )
 
 
+def run_column(columns: Sequence[Column]) -> int | None:
+    """Return the column that counts runs; None without."""
+    return next((i for i, column in enumerate(columns) if _RUN.fullmatch(bare(column))), None)
+
+
+def direction_column(columns: Sequence[Column], body: Sequence[Sequence[str]]) -> int | None:
+    """Return the column that tells of each row its direction, by its head, or by its cells: words that all name one; None without."""
+    named = next((i for i, c in enumerate(columns) if not c.unit and _DIRECTION.fullmatch(bare(c))), None)
+    if named is not None:
+        return named
+    for i, column in enumerate(columns):
+        cells = {row[i].strip().lower() for row in body if i < len(row)} - {""}
+        if not column.unit and cells and all(way_of(cell) and not _SIDES.search(cell) for cell in cells):
+            return i
+    return None
+
+
 def require_ways(columns: Sequence[Column], body: Sequence[Sequence[str]], path: Path) -> None:
     """Refuse a column of directions that names none: a circle each way round would be one of two turns."""
-    for i in (i for i, column in enumerate(columns) if DIRECTION.match(bare(column))):
+    if (i := direction_column(columns, body)) is not None:
         cells = {row[i].strip() for row in body if i < len(row)} - {""}
         if strange := sorted(cell for cell in cells if way_of(cell.lower()) is None):
             raise InputError(
@@ -119,17 +146,20 @@ def way_of_title(row: Sequence[str]) -> Direction | None:
     CW42 is a week, and what is on the right no direction.
     """
     told = [cell.strip().lower() for cell in row if cell.strip()]
-    if len(told) > 2:
-        return None
-    said = re.split(r"\s*[:=]\s*", ":".join(cell.rstrip(" :=") for cell in told))
-    if len(said) == 2 and DIRECTION.match(said[0]):
-        return way_of(said[1])
-    words = re.sub(r"(?<!lauf )\b(left|right|links|rechts)\b|\bcw\d\d", "", told[0]) if len(told) == 1 else ""
+    said = [part.strip(" :=") for cell in told for part in re.split(r"[:=;,](?!\d)", cell) if part.strip(" :=")]
+    behind = [way for word, part in pairwise(said) if _DIRECTION.fullmatch(word) and (way := way_of(part))]
+    if behind or len(told) > 2:
+        return behind[0] if len(set(behind)) == 1 else None
+    if len(told) == 2:
+        return way_of(told[1]) if re.fullmatch(r"g0?[23]|c?cw|acw", told[1]) else None
+    words = re.sub(r"(?<!lauf )\b(left|right|links|rechts)\b|\bcw\d\d", "", told[0]) if told else ""
     return way_of(re.sub(r"[^\w-]+", " ", words))
 
 
+@lru_cache(1024)
 def way_of(name: str) -> Direction | None:
     """Return the direction that a head in small letters names; None where it names none, or both."""
+    name = in_english(name)
     for spelt, short in _SPELT:
         name = spelt.sub(f" {short} ", name)
     words = [re.sub(r"\d+$", "", word) if not re.fullmatch(r"g0?[23]", word) else word for word in name.split()]

@@ -7,17 +7,37 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from dtwin.errors import InputError
-from dtwin.kinds.circular._circle_ways import require_one_way, way_of_title, ways_above
+import numpy as np
 
+from dtwin.acquire.foreign_columns import Column, converted
+from dtwin.errors import InputError
+from dtwin.kinds.circular._circle_ways import (
+    direction_column,
+    require_one_way,
+    require_ways,
+    way_of,
+    way_of_title,
+    ways_above,
+)
+from dtwin.kinds.circular._one_circle import require_one_circle
+
+_NUMBER = r"(\d+(?:[.,]\d+)?)(?![\d.,])"
 _TOLD_ABOVE = (
     (
         "radius_mm",
         re.compile(
-            r"(?:\bradius\b\W*(?:\[?mm\]?\W*|(?=\S+\s*mm))|\br\s*=\s*)(\d+(?:[.,]\d+)?)(?![\d.,]|\s*mm\s*/)", re.I
+            rf"(?:(?:(?<![^\W_])(?:nenn|soll|kreis|bahn)?radius|\b(?:rayon|raggio|radio)\b)(?:\W*[\[(]?\bmm\b[\])]?\W*|\W*(?=\S+\s*mm))|\br\s*=\s*|"
+            rf"\b(?:ball ?bar|bar|kugelstange\w*|stange\w*)[ -]*(?:length|länge|laenge)\W*(?=\S+\s*mm)|\blänge der (?:kugel)?stange\W*(?=\S+\s*mm)){_NUMBER}(?!\s*mm\s*/)",
+            re.I,
         ),
     ),
-    ("feed_mm_min", re.compile(r"\b(?:feed ?rate|feed|vorschub)\b\W*(\d+(?:[.,]\d+)?)[\s;]*(m?m)\s*/\s*min", re.I)),
+    (
+        "feed_mm_min",
+        re.compile(
+            rf"\b(?:feed ?rate|feed|vorschub|avance|avanzamento)\b\W*(?:f\b\W*)?(?:mm/min\W*)?{_NUMBER}[\s;]*(?:(m?m)\s*/\s*min|$)",
+            re.I,
+        ),
+    ),
 )
 """Conditions as titles above the heads tell them, a feed in mm/min or m/min."""
 _PLANE = "plane|ebene|plan|piano|plano"
@@ -38,7 +58,7 @@ def require_as_titled(above: Sequence[Sequence[str]], stated: Mapping[str, Any],
 
     for name, form in _TOLD_ABOVE:
         read, told = found(form), stated.get(name)
-        scale = 1000.0 if read is not None and read[form.groups].lower() == "m" else 1.0
+        scale = 1000.0 if read is not None and (read[form.groups] or "").lower() == "m" else 1.0
         if read is not None and told and abs(scale * float(read[1].replace(",", ".")) - told) > _SAME * told:
             raise _titled(read[0], f"{name} {told:g}", path)
     plane, told = found(_PLANE_ABOVE), str(stated.get("plane", ""))
@@ -48,16 +68,35 @@ def require_as_titled(above: Sequence[Sequence[str]], stated: Mapping[str, Any],
             raise _titled(plane[0], f"plane {told}", path)
 
 
-def told_by_titles(above: Sequence[Sequence[str]], stated: Mapping[str, Any], path: Path) -> Mapping[str, Any]:
-    """Return the direction that the titles above a table tell, where none is stated; refuse another condition than the stated one."""
+def told_by_table(
+    above: Sequence[Sequence[str]],
+    columns: Sequence[Column],
+    body: Sequence[Sequence[str]],
+    stated: Mapping[str, Any],
+    path: Path,
+) -> Mapping[str, Any]:
+    """Return the direction that the titles above a table, or a column, tell, where none is stated; refuse another condition than the stated one, and rows of several circles."""
     require_as_titled(above, stated, path)
     ways, told = ways_above(above), stated.get("direction")
     if told is None:
         require_one_way(above, path)
-        return {"direction": ways.pop()} if ways else {}
-    if ways and told not in ways:
-        raise _titled("; ".join(" ".join(row) for row in above if way_of_title(row)), f"direction {told}", path)
-    return {}
+    said = "; ".join(" ".join(row) for row in above if way_of_title(row))
+    if (column := direction_column(columns, body)) is not None:
+        require_ways(columns, body, path)
+        cells = {row[column].strip() for row in body if column < len(row)} - {""}
+        ways, said = {way for cell in cells if (way := way_of(cell.lower()))}, ", ".join(sorted(cells))
+    if (told is None and len(ways) > 1) or (told is not None and ways and told not in ways):
+        raise _titled(said, f"direction {told}" if told else "one direction", path)
+    angle = next((i for i, c in enumerate(columns) if c.name == "angle_deg"), None)
+    if angle is not None:
+        values = np.array(
+            [
+                float(row[0] or "nan")
+                for row in converted([columns[angle]], [row[angle : angle + 1] for row in body])[1:]
+            ]
+        )
+        require_one_circle(columns, body, values, [None] * len(body), (), path)
+    return {"direction": ways.pop()} if ways and told is None else {}
 
 
 def _titled(got: str, told: str, path: Path) -> InputError:

@@ -42,7 +42,7 @@ class _Circular(Kind):
         **TWINS_OF_PATHS,
         "machines": "_machines:MACHINES",
         "takes_alone": "_circle_table:is_circle_table",
-        "titled": "_titles:told_by_titles",
+        "titled": "_titles:told_by_table",
         "plan": "_planned:planned",
         "usual_plan": "_planned:usual_plan",
         "draft": "_planned:draft",

@@ -328,6 +328,11 @@ def test_directions_that_are_spelt_out(tmp_path: Path, left: str, right: str) ->
         ("", "angle [deg],deviation [µm],direction", "{0},{1},{3}"),
         ("direction,{}", "angle [deg],deviation [µm]", "{0},{1}"),
         ("CW42, right spindle", "Winkel [°],Abweichung [µm],Drehrichtung", "{0},{1},{3}"),
+        ("", "Angolo [gradi],Scostamento [µm],Senso di rotazione", "{0},{1},{3}"),
+        ("", "angle [deg],deviation [µm],program", "{0},{1},{3}"),
+        ("", "angle_deg,deviation_um,direction", "{0},{1},{3}"),
+        ("Machine: M5; Direction: {}; Feed: 1000", "angle [deg];radial error [µm]", "{0};{1}"),
+        ("Bahn;{}", "Winkel in Grad;Kreisformabweichung in µm", "{0};{1}"),
     ],
 )
 def test_blocks_below_their_direction_and_rows_that_tell_it_are_runs_that_way_round(
@@ -365,11 +370,46 @@ def test_a_clock_and_a_title_that_tell_two_ways_are_an_error(tmp_path: Path) -> 
         assert "sign is turned round" in str(refused.value.got)
 
 
+def test_a_remark_tells_the_direction_and_a_column_of_other_feeds_is_told(tmp_path: Path) -> None:
+    clock = np.arange(1440) / 10.0
+    (run,) = read(tmp_path / "a.csv", "# CW\n" + table("t_s,angle_deg,deviation_um", clock[:720], ANGLE[::-1], ANGLE))
+    assert run.meta.direction == "CW"
+    twice, feeds = np.tile(ANGLE, 2), np.repeat([1000.0, 2000.0], 720)
+    text = table("t_s,angle_deg,deviation_um,feed_mm_min", clock, twice, error_um(twice, 1.0), feeds)
+    (run,) = read(tmp_path / "b.csv", text)
+    assert "feed.told" in [finding.code for finding in judge_run(run)]
+
+
 def test_a_column_of_directions_that_names_none_is_refused(tmp_path: Path) -> None:
     rows = [f"{a},{d},{way}" for way in "+-" for a, d in zip(ANGLE, error_um(ANGLE, 1.0), strict=True)]
     with pytest.raises(InputError, match="which way round") as refused:
         read(tmp_path / "a.csv", "\n".join(["angle [deg],deviation [µm],direction", *rows]))
     assert refused.value.got == "+, -"
+
+
+@pytest.mark.parametrize(
+    ("head", "names"),
+    [
+        ("plane", ("XY", "YZ")),
+        ("Vorschub [mm/min]", ("1000", "2000")),
+        ("Zustand", ("kalt", "warm")),
+        ("No", ("1", "2")),
+    ],
+)
+@pytest.mark.parametrize("heads", ["Winkel [°],Abweichung [µm]", "angle [deg],ccw [µm]"])
+def test_rows_of_several_circles_are_no_second_turn(
+    tmp_path: Path, heads: str, head: str, names: tuple[str, str]
+) -> None:
+    rows = [f"{a},{d},{name}" for name in names for a, d in zip(ANGLE, error_um(ANGLE, 1.0), strict=True)]
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join([f"{heads},{head}", *rows]), encoding="utf-8")
+    with pytest.raises(InputError, match="several circles") as refused:
+        understand(path, Home(tmp_path / "home"), TOLD, {})
+    assert refused.value.got == ", ".join(names)
+    # Beside parts of one turn words may change.
+    rows = [f"{a},{d},{names[int(a > 180.0)]}" for a, d in zip(ANGLE, error_um(ANGLE, 1.0), strict=True)]
+    path.write_text("\n".join([f"{heads},{head}", *rows]), encoding="utf-8")
+    assert len(understand(path, Home(tmp_path / "home"), TOLD, {}).runs) == 1
 
 
 @pytest.mark.parametrize("head", ["run", "Messung Nr.", "repeat"])
@@ -432,6 +472,7 @@ def test_what_a_control_commanded_beside_its_coordinates_is_not_used(tmp_path: P
             "Feed: 2 m/min",
         ),
         *("Feed;2000;mm/min", "Plane: YZ", "ZX-Ebene", "G18 plane"),
+        *("Nennradius (mm);50,000", "Länge der Kugelstange: 50 mm", "Vorschub F: 2 m/min", "# radius 50 mm"),
     ],
 )
 def test_a_condition_that_the_titles_tell_otherwise_is_refused(tmp_path: Path, title: str) -> None:
@@ -508,6 +549,9 @@ def test_far_steps_of_the_angle_are_no_turns(tmp_path: Path, step_deg: float) ->
     assert not {f.code for f in judge_run(run)} & {"angle.direction", "arc.long", "angle.jump"}
 
 
-@pytest.mark.parametrize(("head", "way"), [("left1", "CCW"), ("rechts2", "CW"), ("lefthand", None), ("upright1", None)])
+@pytest.mark.parametrize(
+    ("head", "way"),
+    [("left1", "CCW"), ("rechts2", "CW"), ("guzs", "CCW"), ("左回り", "CCW"), ("lefthand", None), ("upright1", None)],
+)
 def test_a_side_with_a_number_is_a_direction(head: str, way: str | None) -> None:
     assert way_of(head) == way
