@@ -13,6 +13,7 @@ _AXIS = r"(?:axis|achse|axe|asse|eje)"
 _TITLE = re.compile(
     rf"(?:{_AXIS}[\s.:_#-]*([xyzabcuvw]\d?|\d)|([xyzabcuvw]\d?|\d)[\s._-]*{_AXIS})(?:[\s,:;(-].*)?", re.I
 )
+_WITHIN = re.compile(rf"(?<!\w)(?:{_AXIS}[\s.:_#-]*([xyzabcuvw]\d?)|([xyzabcuvw]\d?)[\s._-]*{_AXIS})(?!\w)", re.I)
 AXIS_OF_ROW = re.compile(rf"{_AXIS}|coordinate|koordinate|component|komponente", re.I)
 """Head of a column that says of which axis a row is."""
 _MOST_TITLES = 20
@@ -34,6 +35,13 @@ def axis_of(title: str, *, bare: bool = False) -> str:
     if match is not None:
         return (match[1] or match[2]).upper()
     return told.upper() if bare and _BARE.fullmatch(told) else ""
+
+
+def axes_named(rows: Sequence[Sequence[str]]) -> list[str]:
+    """Return the axis that titles of one cell name within other words, ``Y`` of ``Accuracy of the Y axis``; none where they name several."""
+    titles = [row[0] for row in rows if row and not any(cell.strip() for cell in row[1:])]
+    told = {(m[1] or m[2]).upper() for title in titles for m in _WITHIN.finditer(title)}
+    return sorted(told) if len(told) == 1 else []
 
 
 def parts_by_axis(text: str) -> dict[str, str]:

@@ -95,7 +95,7 @@ _OF_WHICH = re.compile(
 )
 """Head of a column that says of which machine, or with which tool, a row is."""
 REVERSED = re.compile(
-    r"(nominal|target|command(ed)?|soll\w*|ziel|cible|指令|目標)\s*([-\u2212\u2013]|minus)\s*(actual|measured|ist|mesur|測定|実測)(?!\w*[\s-]*(vergleich|abgleich|compar))",
+    r"(nominale?|target|command(ed)?|soll\w*|ziel|cible|consigne|objetivo|obiettivo|theor\w+|指令|目標)\s*([-\u2212\u2013]|minus|moins|meno|menos)\s*(actual|measured|ist|mesur|misur|medid|real|réel|reading|測定|実測)(?!\w*[\s-]*(vergleich|abgleich|compar))",
     re.I,
 )
 """Title or head of errors whose sign is the opposite of everywhere else."""

@@ -19,9 +19,11 @@ from dtwin.positioning.table_heads import (
     MOST_TITLES,
     NAMED,
     OTHER_TEST,
+    OWN_SENSOR,
     SURELY_READ,
     Long,
     Wide,
+    deviations_of,
     is_deviation,
     is_opposite,
     is_unit,
@@ -39,6 +41,8 @@ _TURNED_TITLE = re.compile(
     r"\W*(error\s+)?(correction|compensation|korrektur|kompensations?)\s*-?\s*(table|values?|tabelle|werte?)\b", re.I
 )
 """Title of a table of corrections."""
+_UNIT_NAMED = re.compile(r"\b(inch(es)?|zoll|pouces?|pollici|pulgadas?|imperial)\b|(?<=[(\[])in(?=[)\]])", re.I)
+"""Of a title that tells the unit of a table beside other words."""
 _ALIKE, _TIMES = 0.1, (1000.0, 1e-3, 25.4, 1.0 / 25.4, 10.0, 0.1, 100.0, 0.01)
 """Of deviations, by which they may differ from positions minus targets; and of how many times these they may be, in another unit."""
 _DIAMETER = re.compile(r"[Ø\u2300\u2205]|\bdia\b|diam|di[aá]metro|durchm|直径|直徑", re.I)
@@ -123,7 +127,16 @@ def _no_cycles(got: Sequence[str], path: Path) -> InputError:
 
 
 def require_near(table: PositionTable, path: Path) -> None:
-    """Refuse what was taken for positions and does not follow its targets: deviations without a unit, most likely."""
+    """Refuse what was taken for positions and does not follow its targets: deviations without a unit, most likely; and targets that were read, too."""
+    if table.joined_mm and OWN_SENSOR.search(table.read_with):
+        raise InputError(
+            "positions that differ from cycle to cycle stand beside those of the axis' own sensor, and no targets",
+            code="position_table.targets",
+            where=str(path),
+            got=table.read_with,
+            allowed="a column target [mm] beside a column of the instrument, such as laser [mm]",
+            hint="call the columns so; positions that an instrument read are not those that were commanded",
+        )
     scale = table.scale
     read_um = np.hstack([table.forward_um, table.reverse_um])
     there = np.isfinite(read_um).any(axis=1)
@@ -198,6 +211,16 @@ def require_deviations(
         raise _of_other_sign(head, path)
     if not is_deviation(head):
         return
+    several = [other.strip() for n, other in enumerate(heads) if n in (long.value, *deviations_of(heads, long))]
+    if len(several) > 1:
+        raise InputError(
+            "several columns hold deviations: of which axis, or of which state, is not told",
+            code="position_table.columns",
+            where=str(path),
+            got=", ".join(several)[:80],
+            allowed="one; or error [µm] beside others",
+            hint="leave the others out, or a file for each; where they are cycles: forward 1, reverse 1, forward 2, …",
+        )
     for n in (n for n, other in enumerate(heads) if SURELY_READ.match(other.strip()) and not is_deviation(other)):
         used = (long.target, long.value, n)
         factor = [scale.factor(plain_unit(told_unit(heads[i], units[i] if i < len(units) else ""))) for i in used]
@@ -252,9 +275,11 @@ def require_unit_of_heads(
     scale: Scale, rows: Sequence[Sequence[str]], table: Sequence[Sequence[str]], path: Path
 ) -> None:
     """Refuse a table whose heads tell no unit, and whose title tells another than that of targets: of which columns it is, nobody knows."""
-    unit = unit_of_titles(rows[:MOST_TITLES])
+    titles = (" ".join(row) for row in rows[:MOST_TITLES] if sum(map(bool, row)) <= 2)
+    named = (_UNIT_NAMED.search(title) for title in titles)
+    unit = unit_of_titles(rows[:MOST_TITLES]) or next((match[0] for match in named if match), "")
     heads = any(told_unit(cell, "") or is_unit(cell) for row in table[:2] for cell in row)
-    if not heads and scale.factor(plain_unit(unit)) != 1.0:
+    if unit and not heads and (not is_unit(unit) or scale.factor(plain_unit(unit)) != 1.0):
         raise InputError(
             "a title tells a unit, and no head says that it is in it",
             code="position_table.unit",

@@ -22,6 +22,7 @@ from dtwin.positioning.table_heads import (
     OWN_SENSOR,
     SUMS_UP,
     SURELY_READ,
+    SURELY_TARGET,
     is_deviation,
     is_index,
     is_length,
@@ -274,6 +275,7 @@ _READ = re.compile(
     re.I,
 )
 """Words of a head that say that something was read, not by what."""
+_PLACES = re.compile(r"pos(ition)?\b(?![ ._]*(no|nr|num|number|nummer)\b)", re.I)
 
 
 def instruments_beside(rows: Sequence[Sequence[str]]) -> list[ReportTable]:
@@ -308,6 +310,10 @@ def _of_heads(heads: Sequence[str], below: Sequence[Sequence[str]]) -> list[Repo
             others.setdefault(words or "readings", []).append(i)
         elif name and is_length("", unit[i]) == is_length("", unit[target] or unit[i]):
             unknown.setdefault(name, []).append(i)
+    if named and SURELY_TARGET.match(heads[target]):
+        # Beside targets positions were read, by whatever.
+        for i in (i for i, head in enumerate(heads) if i != target and _PLACES.match(head) and is_unit(unit[i])):
+            named.setdefault(name_of(heads[i]), []).append(i)
     own = [name for name in named if OWN_SENSOR.search(name)]
     if len(own) == len(named) and own and not others:
         # Beside sensors of the axis itself stands what it is measured with, whatever its name.

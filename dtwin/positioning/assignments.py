@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -68,6 +69,11 @@ def number_of(cell: str, where: str) -> float:
             hint="units of single numbers belong into the heads, such as: forward 1 [″], forward 1 [µm]",
         )
     return value
+
+
+def number_in(row: Sequence[str], i: int, where: str) -> float:
+    """Return the number of a column of a row; an empty text stands for a cell that is not there."""
+    return number_of(row[i] if i < len(row) else "", where)
 
 
 def wrong_form(message: str, path: Path, got: str) -> InputError:

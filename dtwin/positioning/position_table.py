@@ -25,15 +25,16 @@ from typing import Any
 
 import numpy as np
 
-from dtwin.acquire.axis_titles import AXIS_CHOSEN, axis_by_row, part_of_axis, parts_by_axis, require_axis
+from dtwin.acquire.axis_titles import AXIS_CHOSEN, axes_named, axis_by_row, part_of_axis, parts_by_axis, require_axis
 from dtwin.acquire.repeated_heads import require_one_block
 from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
 from dtwin.acquire.spreadsheet import first_text, has_other_axes, table_bytes
-from dtwin.acquire.table_dialect import SUMMARY, decoded, rows_of
+from dtwin.acquire.table_dialect import SUMMARY, decoded, remarks_of, rows_of
 from dtwin.acquire.xmlsafe import number_or_none
 from dtwin.errors import InputError
 from dtwin.positioning._angles import angles_as_targets, is_angle, of_angles, with_degrees
 from dtwin.positioning._one_place import joined_targets, one_place, probings_of, trials_of, with_joined_targets
+from dtwin.positioning._one_state import require_one_state
 from dtwin.positioning._plain_table import rows_of_axis, table_of, told_apart
 from dtwin.positioning._refusals import (
     LITTLE,
@@ -56,7 +57,7 @@ from dtwin.positioning._report_tables import (
     stated_figures,
     without_remarks,
 )
-from dtwin.positioning.assignments import Reading, assigned_readings, assigned_unit, is_assigned, number_of, wrong_form
+from dtwin.positioning.assignments import Reading, assigned_readings, assigned_unit, is_assigned, number_in, wrong_form
 from dtwin.positioning.matrix import names_sense, no_direction, ways_in_order
 from dtwin.positioning.position_runs import PositionTable, runs_of, said_of
 from dtwin.positioning.table_heads import (
@@ -135,7 +136,7 @@ def read_position_runs(
     text = angles_as_targets(part)
     every = with_degrees(rows_of(text))
     rows, told = rows_of_axis(every, axis)
-    require_axis(told, axis, path)
+    require_axis(told or axes_named([*remarks_of(part), *rows[:MOST_TITLES]]), axis, path)
     others = part != whole or len(rows) < len(every) or has_other_axes(path, axis)
     first = [cell for row in rows[:MOST_TITLES] for cell in row]
     turns = f"axis {axis}, and no unit of length" if TURNS.fullmatch(axis) else next(filter(_names_angles, first), "")
@@ -145,8 +146,9 @@ def read_position_runs(
     table = _table_in(text, rows, path, str(condition.get("instrument", "")), scale)
     said = [*stated_figures(text, table.forward_um, table.reverse_um), *said_of(table)]
     if others:
-        only = f"the file holds other axes, too: what is called {axis} in it was read"
-        said.append(Finding(AXIS_CHOSEN, "info", only))
+        said.append(
+            Finding(AXIS_CHOSEN, "info", f"the file holds other axes, too: what is called {axis} in it was read")
+        )
     return runs_of(table, path, stated, said), []
 
 
@@ -177,7 +179,7 @@ def _table_in(
     report = of_one_instrument(report_tables(text, rows) or instruments_beside(rows), instrument, path)
     tables: list[Sequence[Sequence[str]]] = [with_degrees(table.rows) for table in report]
     if not tables:
-        require_positioning(rows, path)
+        require_positioning([*remarks_of(text), *rows], path)
         plain = table_of(rows)
         require_one_axis(axes_beside([*rows[:MOST_TITLES], [row[0] for row in rows]]), str(path))
         if plain is None and (head := names_no_direction(rows)):
@@ -193,7 +195,7 @@ def _table_in(
     in_order = False
     for lines in tables:
         require_unit_of(scale, lines[:2], path)
-        require_unit_of_heads(scale, rows, lines, path)
+        require_unit_of_heads(scale, [*remarks_of(text), *rows], lines, path)
         wide, long = wide_of(lines[0]), long_of(lines[0])
         read.append(
             _from_wide(lines, wide, path, scale) if wide else _from_long(lines, long, path, scale) if long else []
@@ -205,13 +207,13 @@ def _table_in(
     single = zip(report, read, several, strict=bool(report))
     left_out = dict.fromkeys(t.title for t, readings, more in single if readings and not more and any(several))
     every = [reading for readings in kept for reading in readings]
-    table = matrix_of(_as_they_are(every, scale), path, scale)
-    require_near(table, path)
     name = report[0].read_with if report else ""
-    stated = all(_tells_units(lines) for lines in tables)
+    table = replace(matrix_of(_as_they_are(every, scale), path, scale), read_with=name)
+    require_near(table, path)
     apart = next(filter(None, map(told_apart, tables)), "")
     table = replace(table, otherwise=table.by_position and not any(reading[4] for reading in every))
-    return replace(table, in_order=in_order, unit_told=stated, read_with=name, left_out=tuple(left_out), apart=apart)
+    stated = all(map(_tells_units, tables))
+    return replace(table, in_order=in_order, unit_told=stated, left_out=tuple(left_out), apart=apart)
 
 
 def _as_they_are(readings: Sequence[Reading], scale: Scale) -> list[Reading]:
@@ -284,8 +286,9 @@ def _from_wide(rows: Sequence[Sequence[str]], wide: Wide, path: Path, scale: Sca
         for number, row in enumerate(body, start=1)
         if not any(SUMMARY.fullmatch(row[i].strip()) for i in summed if i < len(row))
     ]
-    targets = [_cell(row, wide.target, where) * factor[wide.target] for where, row in numbered]
+    targets = [number_in(row, wide.target, where) * factor[wide.target] for where, row in numbered]
     one = joined_targets(targets)
+    require_one_state(heads, [row for _, row in numbered], [one[t] for t in targets], read | {wide.cycle}, path)
     for (where, row), target in zip(numbered, targets, strict=True):
         if any(i < len(row) and row[i].strip() and row[i].strip() != row[wide.target].strip() for i in again):
             raise wrong_form("two columns of targets do not agree: a row is one target", Path(where), str(row)[:80])
@@ -293,7 +296,7 @@ def _from_wide(rows: Sequence[Sequence[str]], wide: Wide, path: Path, scale: Sca
         counted = seen[one[target]] if wide.cycle is None else _cycle(row, wide.cycle, where)
         for i, way, cycle in wide.cells:
             if i < len(row) and row[i].strip().lower() not in MISSING:
-                value = _cell(row, i, where) * factor[i]
+                value = number_in(row, i, where) * factor[i]
                 out.append((target, way, cycle or counted, *deviation_of(heads[i], factor[i], value, target, scale)))
     return out
 
@@ -304,7 +307,7 @@ def _from_long(rows: Sequence[Sequence[str]], long: Long, path: Path, scale: Sca
     below = [units[i] if units is not None and i < len(units) else "" for i in (long.target, long.value)]
     factors = (_factor(heads[long.target], below[0], path, scale), _factor(heads[long.value], below[1], path, scale))
     numbered = [(f"{path}, row {number} below the heads", row) for number, row in enumerate(body, start=1)]
-    targets = [_cell(row, long.target, where) * factors[0] for where, row in numbered]
+    targets = [number_in(row, long.target, where) * factors[0] for where, row in numbered]
     said, read = ([row[i].strip() for row in body if i < len(row)] for i in (long.target, long.value))
     require_not_exchanged(said, read, (heads[long.target], heads[long.value]), path)
     require_deviations(heads, units or (), body, long, path, scale)
@@ -319,10 +322,12 @@ def _from_long(rows: Sequence[Sequence[str]], long: Long, path: Path, scale: Sca
         )
     out: list[Reading] = []
     seen: Counter[tuple[float, str]] = Counter()
+    ways = ordered or ["".join(row[long.way or 0 :][:1]).strip() for row in body]
+    require_one_state(heads, body, list(zip(map(one.get, targets), ways, strict=True)), vars(long).values(), path)
     for (where, row), target, in_order in zip(numbered, targets, ordered or [""] * len(targets), strict=True):
         told = row[long.value].strip().lower() if long.value < len(row) else ""
         lost = told in MISSING
-        value = float("nan") if lost else _cell(row, long.value, where) * factors[1]
+        value = float("nan") if lost else number_in(row, long.value, where) * factors[1]
         way = in_order or (way_of(row[long.way], ones=True) if long.way is not None and long.way < len(row) else None)
         if way is None and long.way is not None and names_sense("".join(row[long.way :][:1])):
             raise no_direction(Path(where), row[long.way], "+ or -, forward or reverse")
@@ -387,11 +392,7 @@ def _factor(head: str, below: str, path: Path, scale: Scale) -> float:
 
 
 def _cycle(row: Sequence[str], i: int, where: str) -> int:
-    cycle = _cell(row, i, where)
+    cycle = number_in(row, i, where)
     if cycle < 1 or cycle % 1:
         raise wrong_form("cycles count from 1", Path(where), f"{cycle:g}")
     return int(cycle)
-
-
-def _cell(row: Sequence[str], i: int, where: str) -> float:
-    return number_of(row[i] if i < len(row) else "", where)

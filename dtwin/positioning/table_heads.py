@@ -51,7 +51,7 @@ _TARGET = re.compile(
     rf"^(i\b|[px]_?i\b|target|tgt|nominal|command|cmd(pos)?{_ONE}|position|pos(?!itiv)|{_WANTED}|soll|ziel|punkt|cible|consigne|目标|目標|指令)",
     re.I,
 )
-_SURELY_TARGET = re.compile(
+SURELY_TARGET = re.compile(
     rf"^([px]_?i\b|target|tgt|nominal|command|cmd(pos)?{_ONE}|{_WANTED}|soll|ziel|cible|consigne|目标|目標|指令)", re.I
 )
 _INDEX = re.compile(
@@ -60,7 +60,9 @@ _INDEX = re.compile(
 _COUNTED = re.compile(r"(target|point|punkt|pos\w*|soll\w*|ziel\w*)[ ._]+i", re.I)
 """Head of a column of targets, or, where another one holds them, of their numbers."""
 _DEVIATION = re.compile(r"dev(?!ic)|err|abw|fehler|[eé]cart|scost|desv|偏差|误差|誤差", re.I)
-_CORRECTION = re.compile(r"(correction|compensation|korrektur|kompensation)\b", re.I)
+_CORRECTION = re.compile(
+    r"(correction|compensation|korrektur|kompensation)\b|(?<![^\W_])(corr|comp|korr|komp)(?![^\W_])", re.I
+)
 _NOT_READ = re.compile(
     r"toleran[cz]|\blimit|grenz(e|wert)|allow|zul[äa]ssig|permi(tted|ssible)|uncertaint|unsicherheit|±|following|schlepp|predict|expect|vorhers|nominal[\s_]+(err|dev|abw|fehl)|\bcode\b|standard.?(dev|abw)",
     re.I,
@@ -81,7 +83,7 @@ SURELY_READ = re.compile(
 CYCLE = re.compile(r"^(cycle|run|repeat|test( ?(no\.?|nr\.?|number|#))?$|zyklus|lauf|nr)", re.I)
 _RUN = re.compile(r"r\d+(?!\w)", re.I)
 _NUMBER = re.compile(r"(\d+)")
-_WAY = re.compile(r"^(direction|dir|(anfahr)?richtung|approach|sens[eo]?\b)", re.I)
+_WAY = re.compile(r"^(direction|dir|(anfahr)?richtung|approach|sens[eo]?\b|sentido)", re.I)
 
 _SIGN_INSIDE = re.compile(r"(?<=[^\W\d_])\s*([+\-\u2212↑↓])(?=[\s\d]|[^\W_])")
 """A sign between the words of a head: ``Error + run 1``."""
@@ -203,12 +205,12 @@ def _targets(names: Sequence[str]) -> list[int]:
     there = {name.lower() for name in names}
     ways = {name for name in names if (low := name.lower()).startswith("pos") and f"neg{low[3:]}" in there}
     found = [i for i, name in enumerate(names) if names_target(name) and name not in ways]
-    return sorted(found, key=lambda i: (_COUNTED.fullmatch(names[i]) is not None, not _SURELY_TARGET.match(names[i])))
+    return sorted(found, key=lambda i: (_COUNTED.fullmatch(names[i]) is not None, not SURELY_TARGET.match(names[i])))
 
 
 def other_targets(heads: Sequence[str], target: int) -> list[int]:
     """Return the further columns of targets in the same unit: those of another direction, as a rule."""
-    sure = [i for i, head in enumerate(heads) if _SURELY_TARGET.match(head.strip()) and names_target(head)]
+    sure = [i for i, head in enumerate(heads) if SURELY_TARGET.match(head.strip()) and names_target(head)]
     sure = [i for i in sure if i != target and not _COUNTED.fullmatch(heads[i].strip())]
     return [i for i in sure if not is_deviation(heads[i]) and unit_of(heads[i]) == unit_of(heads[target])]
 
@@ -242,7 +244,7 @@ def long_of(heads: Sequence[str]) -> Long | None:
     target = next((i for i in _targets(names) if i not in (way, cycle, value)), None)
     if value is None and target is not None:
         # Two columns of places: the one that says so is the target.
-        target = first(_SURELY_TARGET, way, cycle)
+        target = first(SURELY_TARGET, way, cycle)
         value = None if target is None else first(_TARGET, way, cycle, target, *indices)
     if way is None:
         target, value = _plain(names)
@@ -253,6 +255,15 @@ def long_of(heads: Sequence[str]) -> Long | None:
     if _NUMBER.search(names[value]) and _stem(names[value]) in map(_stem, others):
         return None
     return Long(target, way, cycle, value)
+
+
+def deviations_of(heads: Sequence[str], long: Long) -> list[int]:
+    """Return the further columns that may hold the deviations as well; none beside one that is called nothing else."""
+    names = [IN_BRACKETS.sub("", head).strip() for head in heads]
+    taken = (long.target, long.way, long.cycle, long.value)
+    if _BARE.fullmatch(names[long.value]):
+        return []
+    return [i for i, name in enumerate(names) if i not in taken and is_deviation(name) and _is_read(name)]
 
 
 def _plain(names: Sequence[str]) -> tuple[int | None, int | None]:
@@ -277,7 +288,7 @@ def _without_direction(names: Sequence[str]) -> tuple[list[int], list[int]]:
     told = [name.strip() for name in names]
     ways = _ways_of(told)
     there = [i for i, name in enumerate(told) if is_unit(told_unit(name, "") or "mm") and ways[i] is None]
-    targets = [i for i in there if _SURELY_TARGET.match(told[i]) and names_target(told[i])]
+    targets = [i for i in there if SURELY_TARGET.match(told[i]) and names_target(told[i])]
     read = [
         i
         for i in there
@@ -315,7 +326,7 @@ def by_way_of(heads: Sequence[str]) -> tuple[int, int, tuple[tuple[int, int], ..
     counted = [
         (i, int(number[1]), _stem(name))
         for i, name in enumerate(names)
-        if i not in (way, target) and not _SURELY_TARGET.match(name) and not SUMS_UP.search(name)
+        if i not in (way, target) and not SURELY_TARGET.match(name) and not SUMS_UP.search(name)
         if (number := _NUMBER.search(name))
     ]
     # Readings of several cycles are called alike.

@@ -34,7 +34,7 @@ _WORDS = {
         "aufwärts",
         "steigend",
     }
-    | {"aller", "andata", "ida", "正向", "往路", "正方向", "正転"},
+    | {"aller", "andata", "ida", "positiva", "positivo", "正向", "往路", "正方向", "正転"},
     "reverse": {
         "bwd",
         "backward",
@@ -51,7 +51,7 @@ _WORDS = {
         "minus",
     }
     | {"rück", "rückwärts", "zurück", "her", "rückfahrt", "rückweg", "abwärts", "fallend", "bk", "back", "return"}
-    | {"retour", "ritorno", "vuelta", "反向", "復路", "負方向", "逆転"},
+    | {"retour", "ritorno", "vuelta", "negativa", "negativo", "反向", "復路", "負方向", "逆転"},
 }
 _FROM = re.compile(r"(?:^|(?<![^\W_])from[\s_]+)(below|above)(?![^\W_])|(?<![^\W_])von[\s_]+(unten|oben)(?![^\W_])")
 """A side; a sensor may be above and below, too, and ``nach unten`` is the other direction."""

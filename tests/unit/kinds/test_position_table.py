@@ -732,6 +732,11 @@ def test_readings_above_the_first_title_of_a_direction_are_not_dropped(tmp_path:
         ("Target Ø [mm],fwd 1 [µm],rev 1 [µm]\n0,1,2\n9,2,3", "position_table.diameter"),
         ("Soll-Durchmesser [mm],hin 1 [µm],rück 1 [µm]\n0,1,2\n9,2,3", "position_table.diameter"),
         ("Target,fwd 1 (arc sec),rev 1 (arc sec)\n0,1,2\n90,2,3", "position_table.unit"),
+        ("All dimensions in inches\nTarget,fwd 1,rev 1\n0,0.001,0.002\n9,9.001,9.002", "position_table.unit"),
+        ("Accuracy of the Y axis\nTarget,fwd 1,rev 1\n0,0.001,0.002\n9,9.001,9.002", "position_table.axes"),
+        ("# error: commanded minus measured\nTarget [mm],fwd 1 [µm],rev 1 [µm]\n0,1,2\n9,2,3", "position_table.sign"),
+        ("consigne - mesure\nCible [mm],aller 1 [µm],retour 1 [µm]\n0,1,2\n9,2,3", "position_table.sign"),
+        ("Target [mm],corr fwd 1 [µm],corr rev 1 [µm]\n0,1,2\n9,2,3", "position_table.sign"),
     ],
 )
 def test_what_would_be_read_as_millimetres_of_another_axis_or_unit_is_refused(
@@ -1619,3 +1624,48 @@ def test_a_direction_that_is_not_known_is_refused_beside_one_that_is(tmp_path: P
     rows = [f"{target:g},{way},1.0,1.5" for target in TARGETS for way in (unknown, "back")]
     path.write_text("\n".join(["target [mm],direction,error 1 [µm],error 2 [µm]", *rows]), encoding="utf-8")
     assert unknown in str(refusal(path).got)
+
+
+@pytest.mark.parametrize(
+    ("heads", "row", "code", "got"),
+    [
+        ("Kompensation,target [mm],direction,error [µm]", "{s},{t:g},{w},{e}", "table.several", "off, on"),
+        ("State,target [mm],forward [µm],reverse [µm]", "{s},{t:g},{e},{e}", "table.several", "off, on"),
+        ("Feed [mm/min],target [mm],direction,error [µm]", "{f},{t:g},{w},{e}", "table.several", "1000, 5000"),
+        (
+            "target [mm],error Y [µm],error X [µm],direction",
+            "{t:g},{n},{e},{w}",
+            "position_table.columns",
+            "error Y [µm], error X [µm]",
+        ),
+        (
+            "target [mm],position [mm],encoder [mm],direction",
+            "{t:g},{p},{t:g},{w}",
+            "position_table.instruments",
+            "encoder, position",
+        ),
+        ("position [mm],encoder [mm],direction", "{p},{q},{w}", "position_table.targets", "encoder"),
+    ],
+)
+def test_readings_of_several_states_axes_or_sensors_are_no_cycles(
+    tmp_path: Path, heads: str, row: str, code: str, got: str
+) -> None:
+    path = tmp_path / "a.csv"
+    rows = [
+        row.format(
+            s=("off", "on")[n],
+            f=(1000, 5000)[n],
+            t=t,
+            w=way,
+            e=n + 1.5,
+            n=n * t,
+            q=t - 0.0003 * n - 0.0001 * (way == "-"),
+            p=t + 0.001 * n + 0.0007 * (way == "-"),
+        )
+        for n in (0, 1)
+        for way in ("+-" if "{w}" in row else "+")
+        for t in TARGETS
+    ]
+    path.write_text("\n".join([heads, *rows]), encoding="utf-8")
+    refused = refusal(path)
+    assert (refused.code, refused.got) == (code, got)
