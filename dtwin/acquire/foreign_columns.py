@@ -99,7 +99,7 @@ REVERSED = re.compile(
     re.I,
 )
 """Title or head of errors whose sign is the opposite of everywhere else."""
-PROBES = r"probe|sensor|sonde|(mess)?taster|messuhr|gauge|lvdt|kanal|channel|ch(?=[ _.]?\d)"
+PROBES = r"probe|sensor|capteur|palpeur|sonde|(mess)?taster|messuhr|gauge|lvdt|kanal|channel|ch(?=[ _.]?\d)"
 """Words of a head that name what reads a displacement."""
 _UNIT_ABOVE = re.compile(r"(?:units?|einheit(?:en)?|unités?|unità|unidad(?:es)?|単位|单位)\W*(\S+)", re.I)
 _ENGLISH = tuple(

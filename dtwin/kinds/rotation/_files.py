@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from dtwin.acquire.channel_log import LINE, is_channel_log
-from dtwin.acquire.foreign_columns import joined_heads, require_one_of, require_one_table
+from dtwin.acquire.foreign_columns import is_number, joined_heads, require_one_of, require_one_table
 from dtwin.acquire.repeated_heads import require_one_block
 from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
 from dtwin.acquire.spreadsheet import first_text, table_bytes
@@ -184,7 +184,7 @@ def _from_table(rows: Sequence[Sequence[str]], recipe: Mapping[str, Any], path: 
         _require_alike(heads, columns, rows[first:], path)
     # Run-out beside an angle is read at each place of the turn.
     by_speed = not roles & {TIME, ANGLE} or (RUNOUT in roles and not roles & {ANGLE, PULSE})
-    probes = [n for n, c in enumerate(columns) if c.role in (PROBE, RUNOUT)]
+    probes = [n for n, c in enumerate(columns) if c.role == PROBE or (c.role == RUNOUT and (by_speed or c.is_tir))]
     if by_speed and any(columns[n].role == RUNOUT for n in probes):
         probes = [n for n in probes if columns[n].role == RUNOUT]
     single = {role: n for n, c in reversed(list(enumerate(columns))) if (role := c.role) in (TIME, ANGLE, PULSE, SPEED)}
@@ -325,7 +325,7 @@ def _require_alike(heads: Sequence[str], columns: Sequence[Column], body: Sequen
         for row in body:
             if cell_of(row, n) and cell_of(row, speed):
                 read.setdefault(cell_of(row, n), set()).add(cell_of(row, speed))
-        words = all(name[0].isalpha() for name in read)
+        words = not all(map(is_number, read)) and not any(":" in name for name in read)
         if words and len(read) > 1 and all(one == set().union(*read.values()) for one in read.values()):
             raise InputError(
                 "a column parts the rows, and is not read: run-outs of several states or parts are no repeats",

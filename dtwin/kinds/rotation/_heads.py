@@ -84,7 +84,7 @@ _ERROR_MOTION = (
 )
 """Figures of ISO 230-7 beside the run-out, as tables over speed name them."""
 _RUNOUT = re.compile(
-    r"run.?out|\btir\b|rundlauf|planlauf|\bf\.?i\.?m\b|schlag\b|faux.?rond|battement|\bsalto\b|oscillazione|跳动|跳動|振れ"
+    r"run.?out|\btir\b|rundlauf|planlauf|\bf\.?i\.?m\b|schlag\b|faux.?rond|voile|battement|\bsalto\b|oscillazione|跳动|跳動|振れ"
 )
 _NOT_READ = re.compile(
     r"toleran[cz]|\blimit|grenz(wert|e)\b|allow|zul[äa]ssig|permi(tted|ssible)|\bsoll|\bnominal|\bspec(ified)?\b|uncertaint|unsicherheit|\bstd|\bsigma\b|standard.?(dev|abw)"
@@ -92,6 +92,7 @@ _NOT_READ = re.compile(
 """What a head says of run-outs that nobody read."""
 _COMPUTED = re.compile(
     r"predict|expect|simulat|\bideal|\bfit(ted)?\b|\b(mean|avg|average|mittel\w*)\b|residu|(?<!un)(correct|compensat|korrigiert|kompensiert)|command|amplitud"
+    r"|filter|gefiltert|filtré|filtrad|(low|high|band).?pass|(tief|hoch|band)pass|smooth|geglättet|envelope|hüllkurve|\btrend|once.per|\ba?sync|\bform\b|formfehler|\bsumm?e?\b|differ|eccentric|exzentr"
 )
 """What a head says of a displacement that no probe read."""
 _POSITION, _OF_POSITIONS = re.compile(r"\bpos(ition)?\b"), ("mm", "cm", "m", "in", "inch")
@@ -100,7 +101,7 @@ _PART = re.compile(r"±|\+\s*/\s*-|amplitud|\bhal(f|be)|\b(0|zero)\s*-?\s*(to)?\
 _PROBE = re.compile(
     rf"displ|\bdisp\b|\b({PROBES})|radial|axial|face|gap|taster|weg\b|^d?[xyz]\d?$|cap\d|\bdial\b|indicator|comparateur"
 )
-_AXIAL = re.compile(r"axial|face|planlauf|轴向|端面|^d?z\d?$")
+_AXIAL = re.compile(r"axial|assial|face|planlauf|voile|轴向|端面|^d?z\d?$")
 _RADIAL = re.compile(r"radial|rundlauf|径向|faux.?rond|^d?[xy]\d?$")
 _OTHER = re.compile(r"temp|°\s*[cf]|℃|cmd|act\b")
 _PATH = re.compile(r"deviation|abweichung|\berr|fehler|target|soll|nominal|direction|richtung")
@@ -143,6 +144,11 @@ class Column:
     factor: float = 0.0
     likely: bool = False
     assumed: str = ""
+
+    @property
+    def is_tir(self) -> bool:
+        """Whether a run-out is one, and no figure that was computed of the readings."""
+        return figure_of(self.name)[0] == "TIR"
 
 
 def column_of(head: str, unit_below: str = "") -> Column:

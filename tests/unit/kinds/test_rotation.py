@@ -308,7 +308,18 @@ def test_channels_of_temperatures_are_no_probes(tmp_path: Path, heads: str) -> N
 
 @pytest.mark.parametrize(
     "beside",
-    ["Tolerance [µm]", "X limit [µm]", "X mean [µm]", "X fit [µm]", "ideal [µm]", "X residual [µm]", "Z position [mm]"],
+    [
+        *(
+            "Tolerance [µm]",
+            "X limit [µm]",
+            "X mean [µm]",
+            "X fit [µm]",
+            "ideal [µm]",
+            "X residual [µm]",
+            "Z position [mm]",
+        ),
+        *("X once per turn [µm]", "Master form [µm]", "X filtered [µm]", "Tiefpass [µm]", "async [µm]", "Summe [µm]"),
+    ],
 )
 def test_what_no_probe_read_is_no_run(tmp_path: Path, beside: str) -> None:
     text = table({"time [s]": TIME, "angle [deg]": ANGLE, beside: 3.0 + 0.01 * UM, "ch1 [µm]": UM})
@@ -602,6 +613,8 @@ def test_speeds_of_many_names_and_units_are_read(tmp_path: Path, speed: str, per
         ("spindle no", "12"),
         ("chuck", ("hydraulic", "shrink")),
         ("state", ("cold", "warm")),
+        ("Ort", ("Nase", "300 mm")),
+        ("Datum", ("1.2.2026", "2.2.2026")),
         ("load [N]", ("0", "100")),
     ],
 )
