@@ -50,7 +50,7 @@ _SPEED, _DRIFT_S = re.compile(r"speed|\brpm\b|drehzahl", re.I), 0.5
 _OF_OTHERS = re.compile(r"(angle|position|error|speed(?!_rpm)|joint|direction|cmd|act)\w*_", re.I)
 _NO_PROBE = re.compile(
     r"target|nominal|command|(?<![a-z])(?:cmd|mean|avg|average|mittel\w*)|(?<!un)(?:corrected|compensated|korrigiert|kompensiert)|soll|toler|limit|radius|diamet|durchm|run_?out|rundlauf|rough|rauh|rau_|stroke|length|wear"
-    r"|uncertaint|unsicherheit|set_?point|predict|simulat|(?<![a-z])std|standard_dev|(?<!with_)(?<!without_)(?<!mit_)(?<!ohne_)(?:correction|korrektur|compensation|kompensation)",
+    r"|uncertaint|unsicherheit|set_?point|predict|simulat|filter|gefiltert|geglättet|smooth|(?<![a-z])std|standard_dev|(?<!with_)(?<!without_)(?<!mit_)(?<!ohne_)(?:correction|korrektur|compensation|kompensation)",
     re.I,
 )
 _NO_SENSOR = re.compile(r"set_?point|target|nominal|command|soll|limit|grenz|alarm|uncertaint|unsicherheit", re.I)

@@ -519,6 +519,7 @@ def test_a_zero_of_a_probe_that_read_nothing_is_left_out(tmp_path: Path) -> None
         "correction",
         "compensation",
         "predicted",
+        "gefiltert",
         "uncertainty",
         "setpoint",
         "std",
