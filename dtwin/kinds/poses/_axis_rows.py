@@ -115,6 +115,8 @@ _TOLD = re.compile(
     rf"(?:[ _]*(?:in |[\[(/_])? *(?P<unit>{_LENGTH})[\])]?)?",
     re.I,
 )
+_RTDE = re.compile(r"(target|actual)_q_([0-5])$")
+"""Joints as a recording of a UR's RTDE has them, in radians."""
 _VICON = re.compile(r".* T?([XYZ])$")
 
 
@@ -143,8 +145,8 @@ def joined(rows: Sequence[Sequence[str]]) -> tuple[list[str], list[Sequence[str]
 
 
 def of_ros(heads: Sequence[str]) -> bool:
-    """Return whether heads are those of a pose as ROS flattens it: ``pose.position.x``."""
-    return any(_ROS.match(head.strip()) for head in heads)
+    """Return whether heads are those of a pose as ROS flattens it, ``pose.position.x``, or of joints as RTDE records them."""
+    return any(_ROS.match(head.strip()) or _RTDE.match(head.strip()) for head in heads)
 
 
 def of_words(head: str, below: str = "") -> str:
@@ -166,7 +168,9 @@ def of_words(head: str, below: str = "") -> str:
 
 def lines_for(heads: Sequence[str], unit: str) -> list[str]:
     """Return lines of ``[campaign.instrument.columns]`` that would name foreign heads as measured ones; empty when none is known."""
-    out = []
+    joints = [match for head in heads if (match := _RTDE.match(head.strip())) is not None]
+    asked = "target" if any(match[1] == "target" for match in joints) else "actual"
+    out = [f'"{match[0]}" = "joint_{int(match[2]) + 1}_rad"' for match in joints if match[1] == asked]
     for head in heads:
         ros, vicon = _ROS.match(head), _VICON.match(head)
         if ros is not None and ros[1].lower() in ("position", "translation") and ros[2].lower() != "w":

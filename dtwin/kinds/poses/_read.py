@@ -245,7 +245,8 @@ def _require(columns: Mapping[str, Floats], path: Path, heads: list[str], unit: 
     if measured <= there and not joints:
         hint = f"only measured places are told: add {commanded}; joints may be in a log of their own, condition = {{ joints_log = … }}"
     elif known:
-        hint = f"[campaign.instrument.columns] with the lines {', '.join(known[:7])}; and {commanded}, in the same way"
+        missing = "measured places, measured_x_mm …" if "joint_1" in known[0] else commanded
+        hint = f"[campaign.instrument.columns] with the lines {', '.join(known[:7])}; and {missing}, in the same way"
     else:
         hint = 'other headers: [campaign.instrument.columns] with lines such as "Goal x" = "target_x_m"'
     raise InputError(

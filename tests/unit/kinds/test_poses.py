@@ -544,6 +544,7 @@ def test_exports_of_cameras_say_how_their_columns_are_named(tmp_path: Path, text
     assert found is not None
     heads, body, unit = found
     assert line in lines_for(heads, unit)
+    assert lines_for(["t", "actual_q_0", "target_q_0"], "m") == ['"target_q_0" = "joint_1_rad"']
     assert body[0][heads.index(line.split('"')[1])] == first
     table = tmp_path / "take.csv"
     table.write_text(text, encoding="utf-8")
