@@ -29,6 +29,7 @@ def open_table(path: Path, told: Mapping[str, Any], made_of: Path | None = None)
     Direction and campaign may be left away: the angle runs one way, the file has a name.
     """
     kind = str(told.get("kind") or kind_of_table(path))
+    told = {**kind_named(kind).told_above(path), **{name: value for name, value in told.items() if value is not None}}
     needed = kind_named(kind).stated
     missing = [name for name in needed or () if told.get(name) is None]
     if needed is None or missing:

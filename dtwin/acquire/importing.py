@@ -248,6 +248,8 @@ def understand(
             plain = _as_csv(converted(columns, looked.body))
             write_text(lone, plain, "a table")
         kind = str(told.get("kind") or "") or _kind(lone, plain.partition("\n")[0].split(","), columns, path, told)
+        above = kind_named(kind).told_above(path)
+        told = {**kept, **above, **given}
         if not known:
             told |= kind_named(kind).titled(looked.titles, columns, looked.body, told, path)
         missing = tuple(name for name in kind_named(kind).stated or () if name not in told)
@@ -271,7 +273,7 @@ def understand(
         missing,
         runs,
         str(stored.get("file") or "an earlier file") if stored else "",
-        tuple(name for name in kept if name not in given),
+        tuple(name for name in kept if name not in {**given, **above}),
         looked.decimal,
         looked.body[:_SHOWN],
         plain,

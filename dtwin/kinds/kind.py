@@ -194,6 +194,10 @@ class Kind:
         """Return whether a file that lies alone is of this kind, though it has not its columns."""
         return self._done("takes_alone")(path) if "takes_alone" in self.places else False
 
+    def told_above(self, path: Path) -> Mapping[str, Any]:
+        """Return the conditions that titles above the table of a file tell, by their names."""
+        return self._done("told_above")(path) if "told_above" in self.places else {}
+
     def titled(
         self,
         titles: Sequence[Sequence[str]],

@@ -9,7 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from dtwin.acquire.foreign_columns import Column, converted
+from dtwin.acquire.foreign_columns import Column, converted, header_row
+from dtwin.acquire.spreadsheet import first_text
+from dtwin.acquire.table_dialect import remarks_of, rows_of
 from dtwin.errors import InputError
 from dtwin.kinds.circular._circle_ways import (
     direction_column,
@@ -47,6 +49,32 @@ _PLANE_ABOVE = re.compile(
 )
 _OF_CODE = {"G17": "XY", "G18": "ZX", "G19": "YZ"}
 _SAME = 0.01
+_MOST_BYTES = 64 * 1024**2
+
+
+def told_above(path: Path) -> Mapping[str, Any]:
+    """Return the conditions that the titles and remarks above a table tell, once and with their units."""
+    try:
+        text = first_text(path, _MOST_BYTES)
+        rows = rows_of(text)
+        titles = [" ".join(row) for row in [*remarks_of(text), *rows[: header_row(rows, path)]]]
+    except InputError:
+        return {}
+    told: dict[str, Any] = {}
+    for name, form in _TOLD_ABOVE:
+        read = {
+            (m[1], m[form.groups])
+            for title in titles
+            for m in form.finditer(title)
+            if m[form.groups] or name == "radius_mm"
+        }
+        if len(read) == 1:
+            (number, unit), *_ = read
+            told[name] = (1000.0 if unit.lower() == "m" else 1.0) * float(number.replace(",", "."))
+    planes = {"".join(filter(None, m.groups())).upper() for title in titles for m in _PLANE_ABOVE.finditer(title)}
+    named = planes.pop() if len(planes) == 1 else ""
+    plane = _OF_CODE.get(named, named)
+    return told | ({"plane": plane} if plane in _OF_CODE.values() else {})
 
 
 def require_as_titled(above: Sequence[Sequence[str]], stated: Mapping[str, Any], path: Path) -> None:

@@ -43,6 +43,7 @@ class _Circular(Kind):
         "machines": "_machines:MACHINES",
         "takes_alone": "_circle_table:is_circle_table",
         "titled": "_titles:told_by_table",
+        "told_above": "_titles:told_above",
         "plan": "_planned:planned",
         "usual_plan": "_planned:usual_plan",
         "draft": "_planned:draft",

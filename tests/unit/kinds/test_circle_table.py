@@ -484,6 +484,19 @@ def test_a_condition_that_the_titles_tell_otherwise_is_refused(tmp_path: Path, t
         read(tmp_path / "a.csv", f"{title}\n{text}")
 
 
+def test_what_titles_and_remarks_tell_need_not_be_stated_again(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    heads = "# Vorschub: 1,5 m/min\nEbene: G18\nRadius: 150,000 mm\nangle [deg];ccw [µm]"
+    path.write_text(table(heads, ANGLE, error_um(ANGLE, 1.0), by=";"), encoding="utf-8")
+    told = {"plane": "ZX", "radius_mm": 150.0, "feed_mm_min": 1500.0}
+    assert open_table(path, {"machine": "m"}).entries[0].stated.items() >= told.items()
+    understood = understand(path, Home(tmp_path / "home"), {}, {})
+    assert (understood.told, understood.missing) == (told, ())
+    # Of two radii neither is taken.
+    path.write_text("Radius: 100 mm\n" + path.read_text(encoding="utf-8"), encoding="utf-8")
+    assert understand(path, Home(tmp_path / "home"), {}, {}).missing == ("radius_mm",)
+
+
 def test_a_second_table_below_the_first_is_refused(tmp_path: Path) -> None:
     first = table("angle [deg],cw [µm]", ANGLE[::-1], error_um(ANGLE, -1.0))
     with pytest.raises(InputError, match="second table"):
