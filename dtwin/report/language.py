@@ -30,7 +30,7 @@ _WORDS_OF = re.compile("[A-Za-z]{3,}")
 _AXIS = re.compile(r"[A-Z0-9]{1,4}|axis_\d")
 _NUMBER = r"[-+]?\d[\d.]*(?:e[-+]?\d+)?"
 _SIZE = re.compile(
-    rf"(?:(?P<name>[A-Za-z][\w ]*?) )?(?P<size>(?:about )?{_NUMBER}(?: ± {_NUMBER})?(?: [^\s;,]+(?: [mh]\)\S*)?)?)"
+    rf"(?:(?P<name>(?!about )[A-Za-z][\w ]*?) )?(?P<size>(?:about )?{_NUMBER}(?: ± {_NUMBER})?(?: [^\s;,]+(?: [mh]\)\S*)?)?)"
 )
 
 

@@ -360,7 +360,7 @@ def test_a_foreign_table_is_shown_corrected_and_remembered(page: Page, bench: Wo
     dialog.get_by_role("button", name="Look again").click()
     expect(dialog.locator("[data-refused]")).to_be_hidden()
     expect(dialog.locator("[data-form]")).to_have_text(
-        "cp1252, columns parted by semicolons, 1 lines above the heads; kind circular"
+        "cp1252, columns parted by semicolons, 1 line above the heads; kind circular"
     )
     expect(dialog.get_by_label("Abweichung [mm] is here")).to_have_value("deviation_um")
     expect(dialog.locator("tbody tr").nth(2).locator("td").last).to_have_text("1000")

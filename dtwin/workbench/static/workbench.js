@@ -461,7 +461,7 @@ function upload(gather) {
     const tables = [];
     try {
       // One after the other: what holds for one file need not hold for the next.
-      for (const name of await send(`/api/trays/${tray}/tables`, {})) tables.push(await understood(tray, name));
+      for (const name of await send(`/api/trays/${tray}/tables`, {})) tables.push(await understood(tray, name, tables.at(-1)));
     } catch (error) {
       await ask(`/api/trays/${tray}`, { method: "DELETE" }).catch(() => null);
       throw error;
@@ -472,7 +472,7 @@ function upload(gather) {
 
 const CONDITIONS = ["machine", "campaign", "started", "plane", "radius_mm", "feed_mm_min", "direction", "axis", "kind", "instrument"];
 
-async function understood(tray, name) {
+async function understood(tray, name, before) {
   const dialog = byId("told");
   const form = dialog.querySelector("form");
   form.reset();
@@ -500,6 +500,8 @@ async function understood(tray, name) {
   const first = await look();
   for (const key of first.unconfirmed) remembered[key] = first.conditions[key];
   for (const key of CONDITIONS) if (first.conditions[key] !== undefined) form.elements[key].value = first.conditions[key];
+  // Files that are dropped at once are of one machine and day, as a rule; it is shown, and can be changed.
+  for (const key of ["machine", "campaign", "started"]) form.elements[key].value ||= before?.told[key] ?? "";
   form.elements.decimal.value = first.decimal || "";
   byId("work").close();
   dialog.showModal();
@@ -528,7 +530,7 @@ async function understood(tray, name) {
 
 function tellTable(form, name, found) {
   form.querySelector("[data-file]").textContent = name;
-  form.querySelector("[data-form]").textContent = found.parted_by ? `${found.encoding}, columns parted by ${found.parted_by}${found.lines_skipped ? `, ${found.lines_skipped} lines above the heads` : ""}; kind ${found.kind}` : "";
+  form.querySelector("[data-form]").textContent = found.parted_by ? `${found.encoding}, columns parted by ${found.parted_by}${found.lines_skipped ? `, ${found.lines_skipped} ${found.lines_skipped === 1 ? "line" : "lines"} above the heads` : ""}; kind ${found.kind}` : "";
   const table = form.querySelector("[data-columns]");
   table.hidden = !found.columns.length;
   form.querySelector("[data-own]").hidden = found.columns.length > 0;

@@ -179,6 +179,7 @@ def test_every_effect_has_german_words() -> None:
         for size in (*effect.parameters, *effect.shapes):
             assert size.name.removesuffix(f"_{size.unit.lower().replace('/', '_')}").replace("_", " ") in _TITLES
     assert words.cell("Backlash X") == "Umkehrspiel X"
+    assert words.cell("about 3.3") == "etwa 3,3"
     # What somebody named so is no size.
     assert words.spoken("twin scale version 1 against campaign lead (2 runs)")[0] == (
         "Zwilling scale Version 1 gegen lead (2 Läufe)"
