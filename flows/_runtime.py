@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -14,25 +13,11 @@ from prefect.logging.handlers import APILogWorker
 from prefect.settings import temporary_settings
 
 from dtwin.config import Home, home
-from dtwin.errors import DtwinError
 from flows.reach import auth_string, running_server
 
 _DELIVER_S = 15.0
 # For its own server, on cores that are busy: Prefect's 20 s were not enough.
 _START_S = 180
-
-
-class _WithoutTraces(logging.Filter):
-    """Takes the traceback away from what a user can mend: the command ends with its message."""
-
-    def filter(self, record: logging.LogRecord) -> bool:
-        if record.exc_info and isinstance(record.exc_info[1], DtwinError):
-            record.exc_info = None
-        return True
-
-
-for _name in ("prefect.flow_runs", "prefect.task_runs"):
-    logging.getLogger(_name).addFilter(_WithoutTraces())
 
 
 def run(flow: Flow[..., Any], **parameters: Any) -> Any:

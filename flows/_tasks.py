@@ -36,6 +36,7 @@ from dtwin.report.checking import check_source
 from dtwin.train.evidence import Evidence
 from dtwin.train.registry import RegisteredVersion, Registry
 from dtwin.twins.on_campaign import TwinView, look_at
+from flows import _told  # noqa: F401 - every flow imports this module
 from studies import cell, papers
 from studies.cobot_steps import ProgressOf
 from studies.wall_clock import Circle, serve_wall_clock

@@ -181,11 +181,12 @@ def test_the_flow_measures_on_a_machine_and_says_what_to_do_next(up: Up, tmp_pat
 
 
 def test_a_user_s_mistake_fails_the_run_with_the_reason(up: Up) -> None:
-    with pytest.raises(InputError, match="no such campaign"):
+    with delivered(), pytest.raises(InputError, match="no such campaign"):
         run(diagnose_flow, campaign="never-measured")
     failed = up.runs_of("diagnose")[-1]
     assert failed["state"]["type"] == "FAILED"
     assert "no such campaign" in failed["state"]["message"]
+    assert "try: dtwin ingest PATH" in failed["state"]["message"]
     wanted = {"task_runs": {"flow_run_id": {"any_": [failed["id"]]}}}
     assert [t["run_count"] for t in up.ask("/task_runs/filter", wanted)] == [1], "was retried"
 
