@@ -22,6 +22,7 @@ from running_servers import Up, wait_for
 
 from dtwin.config import Home
 from dtwin.errors import StoreError
+from dtwin.train.registry import Registry
 from flows.servers import Child
 
 pytestmark = pytest.mark.system
@@ -133,11 +134,17 @@ def _refuses_strangers(up: Up) -> None:
         opened.goto(up.addresses["prefect_enter"])
         opened.wait_for_url(f"{page}/deployments*")
         opened.get_by_text("scheduled-training").first.wait_for(timeout=60_000)
+        registry = Registry(up.home)
+        with registry.open_run("one", {}) as run:
+            registry.log(run, {}, {"leave_feed_mm_min_out.r2": 0.9}, {})
         opened.goto(up.addresses["mlflow_enter"])
         opened.get_by_text("Registered Models").first.wait_for(timeout=60_000)
         # Not behind an advertisement, nor in MLflow's mode for chat programs.
         assert opened.get_by_role("dialog").count() == 0
         assert opened.evaluate("localStorage['mlflow.workflowType_v1']") == '"machine_learning"'
+        # What models are compared by has a column, which MLflow shows none of by itself.
+        opened.goto(f"{up.addresses['mlflow']}/#/experiments/{registry.experiment()}/runs")
+        opened.get_by_role("columnheader").get_by_text("leave_feed_mm_min_out.r2").wait_for(timeout=60_000)
     assert len(up.ask("/flow_runs/filter", {})) == before
 
 
