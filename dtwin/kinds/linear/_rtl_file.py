@@ -24,7 +24,7 @@ from dtwin.errors import InputError
 from dtwin.positioning.assignments import Reading
 from dtwin.positioning.position_runs import runs_of
 from dtwin.positioning.position_table import matrix_of
-from dtwin.positioning.table_heads import TURNS
+from dtwin.positioning.table_heads import OTHER_TEST, TURNS
 from dtwin.schema import Campaign, Finding, Run
 from dtwin.units import UM_PER_MM
 
@@ -53,6 +53,11 @@ _SAID = (
     "title",
     "titel",
 )
+_OTHER = re.compile(
+    rf"{OTHER_TEST.pattern}|\b(yaw|gier\w*|theta|rotary|arc ?sec)\b|^(unit|einheit)\w*:.*\b(in|inch(es)?|zoll|deg|[mu]?rad)\b",
+    re.I,
+)
+"""A key with its value that is of another test, or of lengths in other units."""
 _WAYS = {"forward": "forward", "reverse": "reverse", "backward": "reverse"}
 
 
@@ -113,6 +118,8 @@ def _content(path: Path) -> _Content:
             collecting = means[1].lower()
             content.means.setdefault(collecting, [])
         elif key:
+            if _OTHER.search(line):
+                raise _wrong("the file says that it is of another test, or in other units", where, line[:60])
             collecting = _keyed(content, " ".join(key[1].lower().split()), key[2].strip(), where)
             if collecting == "targets":
                 content.targets_mm += _numbers(key[2], where)

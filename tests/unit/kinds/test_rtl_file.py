@@ -143,6 +143,9 @@ def test_means_by_direction(tmp_path: Path) -> None:
         # Lines without an end.
         ("Run Target Data:", " " * 100_000 + "x"),
         ("Run Target Data:", "position " + "a" * 100_000),
+        ("Machine: Fräse 7", "TITLE: Straightness of X in Y"),
+        ("Machine: Fräse 7", "TITLE: Theta axis"),
+        ("Machine: Fräse 7", "Units: inch"),
     ],
 )
 def test_what_does_not_belong_together_is_refused(tmp_path: Path, old: str, new: str) -> None:
