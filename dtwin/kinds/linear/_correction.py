@@ -209,7 +209,9 @@ def _pitch_mm(obs: Observations) -> float:
             where=obs.campaign.name,
             got=f"{phases} angles of the screw" if phases else f"no {PITCH}",
             allowed=f"{PITCH} under [campaign.machine_geometry], and at least {FEWEST_PHASES} angles",
-            hint="a step that does not divide the pitch: dtwin plan says what a step can show",
+            hint="a step that does not divide the pitch: dtwin plan says what a step can show"
+            if phases
+            else f'dtwin amend {obs.campaign.name} --set machine_geometry.{PITCH}=10 --because "read off the screw"',
         )
     return pitch
 
