@@ -277,17 +277,19 @@ def _regime(days: Floats, values: Floats, first: int, stop: int, why: str, *, tr
 
 
 def _with_step(alarm: _Alarm, values: Floats, regimes: Sequence[Regime]) -> _Alarm:
-    """Return the alarm with the step between the levels before and after it."""
+    """Return the alarm with the step where the levels, or lines, before and after it meet."""
     if alarm.trend:
         return alarm
-    after = next(r for r in regimes if r.first == alarm.first)
     before = next(r for r in regimes if r.last == alarm.first - 1)
-    parts = [values[r.first : r.last + 1] for r in (before, after)]
-    sizes = [len(p) for p in parts]
-    dof = sum(sizes) - 2
-    pooled = math.sqrt(sum(float(((p - p.mean()) ** 2).sum()) for p in parts) / dof) if dof else math.nan
-    half = t_quantile(_COVERED, dof) * pooled * math.sqrt(sum(1 / n for n in sizes)) if dof else math.nan
-    return _Alarm(alarm.at, alarm.first, False, after.mean - before.mean, half)
+    after = next(r for r in regimes if r.first == alarm.first)
+    sides = [(before, before.ends[1]), (after, after.ends[0])]
+    # A line, at its end, is four times as uncertain as a level, in variance.
+    parts = [(values[r.first : r.last + 1], 4.0 if r.trend else 1.0, end if r.trend else r.mean) for r, end in sides]
+    dof = sum(len(part) for part, _, _ in parts) - sum(2 if r.trend else 1 for r, _ in sides)
+    left = sum(_left(np.arange(len(part), dtype=float), part, line=times > 1.0) for part, times, _ in parts)
+    pooled = math.sqrt(left / dof) if dof else math.nan
+    half = t_quantile(_COVERED, dof) * pooled * math.sqrt(sum(n / len(p) for p, n, _ in parts)) if dof else math.nan
+    return _Alarm(alarm.at, alarm.first, False, parts[1][2] - parts[0][2], half)
 
 
 def _line(days: Floats, values: Floats) -> tuple[float, float, float, float, float]:

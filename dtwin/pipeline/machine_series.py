@@ -15,6 +15,7 @@ from dtwin.control_chart import Chart, Regime, chart, crossing
 from dtwin.documents import finite
 from dtwin.machine_record import Event, MachineRecord, events_between
 from dtwin.report.text import decimals
+from dtwin.schema import Floats
 from dtwin.units import shown_unit
 
 TESTS_PER_FALSE_ALARM = 200.0
@@ -151,7 +152,8 @@ def _judged(series: Series, record: MachineRecord, run_length: float) -> dict[st
     else:
         # A line that leads to a limit is none of the chart's alarms yet, and no level either.
         state = "changed" if changed else "slow trend" if ahead is not None else "steady"
-    level = f"{current.mean:z.{decimals(current.expanded)}f}"
+    mean, half = _level(current, days)
+    level = f"{mean:z.{decimals(half)}f}"
     return finite(
         {
             "name": series.name,
@@ -162,9 +164,7 @@ def _judged(series: Series, record: MachineRecord, run_length: float) -> dict[st
             "high": series.high,
             "points": [dict(vars(p)) for p in points],
             "state": state,
-            "level": f"{level} ± {current.expanded:z.{decimals(current.expanded)}f}"
-            if current.last > current.first
-            else level,
+            "level": f"{level} ± {half:z.{decimals(half)}f}" if current.last > current.first else level,
             "floor": f"± {current.floor:z.{decimals(current.floor)}f}" if math.isfinite(current.floor) else "",
             "since": points[current.first].started[:10],
             "changes": changes,
@@ -196,12 +196,31 @@ def _restarts(points: Sequence[Point], events: Sequence[Event]) -> dict[int, str
     return reasons
 
 
+def _level(regime: Regime, days: Floats) -> tuple[float, float]:
+    """Return the level of tests, of a trend that of its line at the last one, and its half width that covers 95 %."""
+    if not regime.trend:
+        return regime.mean, regime.expanded
+    mine = days[regime.first : regime.last + 1]
+    of_mean = regime.floor / math.sqrt(len(mine) + 1)
+    return regime.ends[1], math.hypot(of_mean, regime.slope_expanded * float(mine[-1] - mine.mean()))
+
+
+_LITTLE = 0.5
+"""Of what a trend makes in all: a smaller step where it begins is no change of its own."""
+
+
 def _changes(series: Series, chart: Chart, why: Mapping[int, str], events: Sequence[Event]) -> list[dict[str, Any]]:
     """Return every change: alarms, and what differs after an event, JSON-ready, newest first."""
     points, out = series.points, []
     unit = shown_unit(series.unit)
+    # Where a level goes over into a trend the chart gives two alarms, of one change.
+    rises = {r.first: abs(r.ends[1] - r.ends[0]) for r in chart.regimes if r.trend}
+    turns = {a.first: a.at for a in chart.alarms if not a.trend and abs(a.step) < _LITTLE * rises.get(a.first, 0.0)}
     for alarm in chart.alarms:
         regime = next(r for r in chart.regimes if r.first == alarm.first)
+        if not alarm.trend and alarm.first in turns:
+            continue
+        at = turns.get(alarm.first, alarm.at)
         if alarm.trend:
             size = _signed(regime.slope * _MONTH, regime.slope_expanded * _MONTH)
             began, ended = (points[i].started[:10] for i in (regime.first, regime.last))
@@ -220,11 +239,11 @@ def _changes(series: Series, chart: Chart, why: Mapping[int, str], events: Seque
         out.append(
             {
                 "kind": "trend" if alarm.trend else "step",
-                "at": alarm.at,
+                "at": at,
                 "first": alarm.first,
                 "text": text,
                 "began": began,
-                "seen": points[alarm.at].started[:10],
+                "seen": points[at].started[:10],
             }
         )
     for i, reason in why.items():

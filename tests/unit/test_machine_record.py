@@ -314,6 +314,18 @@ def test_an_alarm_that_later_tests_do_not_bear_out_is_no_change_for_good() -> No
     )
 
 
+def test_a_level_that_goes_over_into_a_trend_is_one_change_and_its_level_the_last() -> None:
+    steady = [4.17, 4.59, 4.73, 4.40, 4.20, 4.62, 4.61, 4.58, 4.36, 4.44, 4.55]
+    wear = [4.73, 4.99, 5.15, 5.27, 5.38, 5.50, 5.47, 5.78, 5.98, 5.85, 6.10, 6.34, 6.38]
+    told = _charted(steady + wear)
+    (change,) = told["changes"]
+    assert (change["kind"], change["seen"]) == ("trend", "2025-02-10")
+    assert (told["state"], told["level"]) == ("trend", "6.390 ± 0.100")
+    # A crash before the wear is a change of its own.
+    crash = _charted([*steady, *(v + 4.0 for v in wear)])
+    assert [c["kind"] for c in crash["changes"]] == ["trend", "step"]
+
+
 def test_what_leads_to_a_limit_is_not_called_steady() -> None:
     rising = [5.0, 5.0, 5.3, 5.2, 5.1, 5.4, 5.7, 5.7, 5.3, 5.2, 5.4, 5.7, 5.1, 5.7, 5.5, 5.7]
     told = _charted(rising, 10.0)
