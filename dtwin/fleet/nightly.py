@@ -138,7 +138,9 @@ def _of_machines(home: Home, machines: Collection[str], today: date, progress: P
             if one["crossing"] is not None:
                 limit = one["crossing"]["limit"]
                 yield Alert(
-                    "limit", f"{name} {one['name']}", f"reaches {limit:g} from {one['crossing']['earliest']} on"
+                    "limit",
+                    f"{name} {one['name']}",
+                    f"reaches {limit:g} {one['unit']} from {one['crossing']['earliest']} on",
                 )
             elif one["state"] in ("changed", "trend"):
                 newest = one["changes"][0]
