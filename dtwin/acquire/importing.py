@@ -251,7 +251,12 @@ def understand(
         above = kind_named(kind).told_above(path)
         told = {**kept, **above, **given}
         if not known:
-            told |= kind_named(kind).titled(looked.titles, columns, looked.body, told, path)
+            titled = kind_named(kind).titled(looked.titles, columns, looked.body, told, path)
+            if way := titled.get("direction"):
+                # As a title it is that of readings that were sorted by the angle, too.
+                plain = f"Direction: {way}\n{plain}"
+                write_text(lone, plain, "a table")
+            told |= titled
         missing = tuple(name for name in kind_named(kind).stated or () if name not in told)
         runs: tuple[tuple[str, int], ...] = ()
         if not missing:

@@ -81,11 +81,11 @@ _BESIDE = re.compile(
 )
 """What a head says whose column is no deviation of a run, though it names a direction."""
 _COMMANDED = re.compile(
-    r"\b(cmd|command(ed)?|soll(position|wert)?|nominal|target|demand(ed)?|programmed)\b|^soll", re.I
+    r"\b(cmd|command(ed)?|soll(position|wert)?|nominal|target|demand(ed)?|programmed)\b|^soll|(soll|cmd)$", re.I
 )
 """Of a control's log: coordinates that were commanded stand beside the actual ones."""
 _COORDINATE = re.compile(
-    r"^(actual |ist|istposition |istwert |pos(ition)? )?([xyz])1?([ _]?(actual|act|ist|istposition|istwert|pos|position))?$",
+    r"^((?:actual |act |ist ?|measured )?(?:pos(?:ition)? |wert )?)([xyz])1?([ _]?(actual|act|ist|istposition|istwert|pos|position))?$",
     re.I,
 )
 
@@ -218,17 +218,16 @@ def _form_of(columns: Sequence[Column], above: Sequence[Sequence[str]], body: Se
     ways: tuple[tuple[int, Direction | None], ...] = tuple(
         (i, way_of(name)) for i, name in enumerate(names) if way_of(name)
     )
-    told = (
-        direction_column(columns, body) is not None or run_column(columns) is not None or any(map(way_of_title, above))
-    )
+    beside = {direction_column(columns, body), run_column(columns)}
+    told = beside != {None} or any(map(way_of_title, above))
     ways = ways or tuple((i, None) for i, c in enumerate(columns) if c.head == "deviation_um" or (told and deviates(c)))
     pair = tuple(
-        (i, match[3].upper()) for i, match in ((i, _COORDINATE.match(n)) for i, n in enumerate(names)) if match
+        (i, match[2].upper()) for i, match in ((i, _COORDINATE.match(n)) for i, n in enumerate(names)) if match
     )
     # Beside deviations a radius is the programmed one, or says the same again.
     form = _Form(first[_ANGLE], first[_TIME], None if ways else first[_RADIUS], ways, pair)
     known = len(ways) + len(pair) + sum(i is not None for i in first.values())
-    actual = sum(not _COMMANDED.search(name) for name in names)
+    actual = sum(not _COMMANDED.search(name) and i not in beside for i, name in enumerate(names))
     lengths = all(columns[i].name.endswith(("_mm", "_um")) or not columns[i].unit for i, _ in pair)
     if len({axis for _, axis in pair}) == len(pair) == 2 and lengths and known == 2 + (form.time is not None) == actual:
         return _Form(None, form.time, None, (), pair)

@@ -124,7 +124,7 @@ def told_by_table(
             ]
         )
         require_one_circle(columns, body, values, [None] * len(body), (), path)
-    return {"direction": ways.pop()} if ways and told is None else {}
+    return {"direction": told or ways.pop()} if ways else {}
 
 
 def _titled(got: str, told: str, path: Path) -> InputError:

@@ -148,8 +148,14 @@ def is_pose_table(path: Path) -> bool:
     heads = _headed(rows, {}, path)[0]
     if joined(rows) is not None or of_ros(heads) or repeated_places(rows):
         return True
-    commanded = any(h.startswith(("joint_1_", "target_x_")) for h in heads)
-    return commanded and any(h.startswith(("measured_x_", "error_x_")) for h in heads)
+    commanded = any(h.startswith("joint_1_") for h in heads) or _are_places("target", heads)
+    return commanded and (_are_places("measured", heads) or _are_places("error", heads))
+
+
+def _are_places(what: str, heads: Sequence[str]) -> bool:
+    """Return whether columns are of places in space, or of a part of them that is no circle's plane."""
+    told = {axis for axis in "xyz" if any(head.startswith(f"{what}_{axis}_") for head in heads)}
+    return "x" in told and told != {"x", "y"}
 
 
 def _columns(path: Path, campaign: Campaign) -> tuple[dict[str, Floats], list[str], str]:

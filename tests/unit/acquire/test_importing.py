@@ -68,6 +68,12 @@ def test_titles_tell_the_direction_of_columns_that_are_told(tmp_path: Path, titl
     path.write_text(circle().replace("Kreisformtest Müller", title), encoding="utf-8")
     found = understand(path, home, CIRCLE, {"Abweichung": "deviation_um", "Luft": ""})
     assert found.told["direction"] == way
+    # The angle rises whichever way it was, as in a table that was sorted; the form of the workbench says the direction again.
+    sortd = "Phi;Wert\n" + "\n".join(f"{n},5;0,00{n % 7}" for n in range(360))
+    path.write_text(f"{title}\n{sortd}", encoding="utf-8")
+    for stated in ({}, {"direction": way}):
+        again = understand(path, home, CIRCLE | stated, {"Phi": "angle_deg", "Wert": "deviation_um"})
+        assert again.runs == ((f"k-{way.lower()}1", 360),)
     other = {"direction": "CCW" if way == "CW" else "CW"}
     for stated in (other, {"radius_mm": 150.0}):
         path.write_text(circle().replace("Kreisformtest Müller", f"Radius 100 mm\n{title}"), encoding="utf-8")

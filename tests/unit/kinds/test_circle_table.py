@@ -450,6 +450,9 @@ def test_names_of_a_micrometre(tmp_path: Path, unit: str) -> None:
     "heads",
     [
         "time [s],X cmd [mm],Y cmd [mm],X act [mm],Y act [mm]",
+        "time [s],cmd X [mm],cmd Y [mm],act X [mm],act Y [mm]",
+        "t [s],Xsoll [mm],Ysoll [mm],Xist [mm],Yist [mm]",
+        "t [s],Command position X1 [mm],Command position Y1 [mm],Actual position X1 [mm],Actual position Y1 [mm]",
         "Zeit [s],X1 Sollposition [mm],Y1 Sollposition [mm],X1 Istposition [mm],Y1 Istposition [mm]",
     ],
 )
