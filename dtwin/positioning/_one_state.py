@@ -7,6 +7,7 @@ from collections.abc import Container, Hashable, Sequence
 from pathlib import Path
 
 from dtwin.acquire.foreign_columns import is_number
+from dtwin.acquire.repeated_heads import counts_repeats
 from dtwin.errors import InputError
 
 _MOST = 1.0 / 3.0
@@ -18,6 +19,14 @@ _NUMBERED = re.compile(
     re.I,
 )
 """Head of numbers that tell a state, not a reading."""
+
+
+def _are_counted(names: Sequence[str]) -> bool:
+    """Return whether names are one word with numbers that count: ``M1``, ``M2``."""
+    told = [re.fullmatch(r"(\D*[^\W\d]\D*)(\d+)", name) for name in names]
+    found = [match for match in told if match is not None]
+    words, numbers = {match[1] for match in found}, {int(match[2]) for match in found}
+    return len(found) == len(names) and len(words) == 1 and counts_repeats(numbers)
 
 
 def require_one_state(
@@ -37,7 +46,7 @@ def require_one_state(
         names = list(dict.fromkeys(cell for cell in cells if cell))
         clock = any(":" in name for name in names)
         numbers = all(map(is_number, names)) and not _NUMBERED.match(heads[i].strip())
-        if not 1 < len(names) <= _MOST * len(body) or clock or numbers:
+        if not 1 < len(names) <= _MOST * len(body) or clock or numbers or _are_counted(names):
             continue
         over = {name: {place for place, cell in zip(places, cells, strict=True) if cell == name} for name in names}
         first, *others = [own for own in over.values() if len(own) >= _FEWEST] or [set()]
