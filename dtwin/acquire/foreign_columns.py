@@ -170,7 +170,7 @@ def header_row(rows: Sequence[Sequence[str]], path: Path) -> int:
         "no table is found in the file",
         code="import.table",
         where=str(path),
-        got=f"{len(rows)} lines",
+        got="1 line" if len(rows) == 1 else f"{len(rows)} lines",
         allowed=f"a row of heads above rows of numbers, within {_MOST_PREAMBLE} lines and {_MOST_COLUMNS} columns",
         hint="write heads with units above numbers that have none, such as time [s], angle [deg]; dtwin check FILE reads the forms of instruments",
     )
