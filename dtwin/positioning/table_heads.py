@@ -83,7 +83,7 @@ SURELY_READ = re.compile(
 CYCLE = re.compile(r"^(cycle|run|repeat|test( ?(no\.?|nr\.?|number|#))?$|zyklus|lauf|nr)", re.I)
 _RUN = re.compile(r"r\d+(?!\w)", re.I)
 _NUMBER = re.compile(r"(\d+)")
-_WAY = re.compile(r"^(direction|dir|(anfahr)?richtung|approach|sens[eo]?\b|sentido)", re.I)
+_WAY = re.compile(r"^(direction|dir|\w*richtung|bewegung$|movement$|approach|sens[eo]?\b|sentido)", re.I)
 
 _SIGN_INSIDE = re.compile(r"(?<=[^\W\d_])\s*([+\-\u2212↑↓])(?=[\s\d]|[^\W_])")
 """A sign between the words of a head: ``Error + run 1``."""
@@ -235,7 +235,8 @@ def long_of(heads: Sequence[str]) -> Long | None:
     def first(pattern: re.Pattern[str], *taken: int | None) -> int | None:
         return next((i for i, name in enumerate(names) if i not in taken and pattern.search(name)), None)
 
-    way, cycle = first(_WAY), first(CYCLE)
+    way = first(_WAY)
+    cycle = first(CYCLE, way)
     deviations = [i for i, name in enumerate(names) if i not in (way, cycle) and is_deviation(name) and _is_read(name)]
     bare = [i for i in deviations if _BARE.fullmatch(IN_BRACKETS.sub("", names[i]).strip())]
     deviation = next(iter([*bare, *deviations]), None)

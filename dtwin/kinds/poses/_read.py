@@ -28,7 +28,7 @@ from dtwin.acquire.foreign_columns import (
 from dtwin.acquire.repeated_heads import require_one_block
 from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
 from dtwin.acquire.spreadsheet import first_rows, table_bytes
-from dtwin.acquire.table_dialect import SUMMARY, decoded, rows_of, typed
+from dtwin.acquire.table_dialect import SUMMARY, decoded, remarks_of, rows_of, typed
 from dtwin.acquire.time_stamps import clock_of, numbers_of, of_stamps
 from dtwin.errors import InputError
 from dtwin.kinds.poses._axis_rows import NO_UNIT, axes_beside, is_by_axes, joined, lines_for, of_ros, of_words
@@ -168,7 +168,7 @@ def _columns(path: Path, campaign: Campaign) -> tuple[dict[str, Floats], list[st
         raise no_commanded(path, places)
     named, heads, units, below, unit = _headed(rows, recipe, path)
     if not any(name.startswith("measured_") for name in named):
-        require_usual_sign(rows[:_MOST_TITLES], path)
+        require_usual_sign([*remarks_of(text), *rows[:_MOST_TITLES]], path)
     without = [head for head, name in zip(heads, named, strict=True) if name.endswith(NO_UNIT)]
     if without:
         raise InputError(

@@ -1674,3 +1674,11 @@ def test_readings_of_several_states_axes_or_sensors_are_no_cycles(
         text = path.read_text(encoding="utf-8").replace(got.split(", ")[0], "M1").replace(got.split(", ")[1], "M2")
         path.write_text(text, encoding="utf-8")
         assert read_position_table(path).forward_um.shape[1] == 2
+
+
+@pytest.mark.parametrize("head", ["Bewegung", "Laufrichtung", "Movement"])
+def test_a_direction_under_other_heads_beside_targets_that_rise_both_ways(tmp_path: Path, head: str) -> None:
+    rows = [f"{t:g};{way};{um}" for k in (0, 1) for way, um in (("hin", 1 + k), ("rück", 5 + k)) for t in TARGETS]
+    (tmp_path / "a.csv").write_text("\n".join([f"Soll [mm];{head};Abweichung [µm]", *rows]), encoding="utf-8")
+    table = read_position_table(tmp_path / "a.csv")
+    assert (table.forward_um[0].tolist(), table.reverse_um[0].tolist()) == ([1.0, 2.0], [5.0, 6.0])
