@@ -33,7 +33,8 @@ _DIRECTION = re.compile(
     r"(.*[\s-])?(direction|dir|\w*richtung|\w*sinn|sens(e|o)?|sentido|rotation|way|\w*方向)\.?( (of|de|di) \w+| code)?",
     re.I,
 )
-_SIDES = re.compile(r"left|right|links|rechts")
+_SIDES = re.compile(r"left|right|links|rechts|^cw\d\d$")
+"""In a cell of any column: a side, or a week."""
 
 _BACK_DEG = 20.0
 """How far an angle runs back where the direction changes."""

@@ -370,6 +370,15 @@ def test_a_clock_and_a_title_that_tell_two_ways_are_an_error(tmp_path: Path) -> 
         assert "sign is turned round" in str(refused.value.got)
 
 
+def test_a_column_of_weeks_is_no_direction(tmp_path: Path) -> None:
+    rows = [f"{a},{d},CW18" for a, d in zip(ANGLE, error_um(ANGLE, 1.0), strict=True)]
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join(["angle [deg],deviation [µm],week", *rows]), encoding="utf-8")
+    assert understand(path, Home(tmp_path / "home"), TOLD, {}).runs == (("a-ccw1", 720),)
+    (run,) = read(path, path.read_text(encoding="utf-8").replace("deviation", "ccw"))
+    assert run.meta.direction == "CCW"
+
+
 def test_a_remark_tells_the_direction_and_a_column_of_other_feeds_is_told(tmp_path: Path) -> None:
     clock = np.arange(1440) / 10.0
     (run,) = read(tmp_path / "a.csv", "# CW\n" + table("t_s,angle_deg,deviation_um", clock[:720], ANGLE[::-1], ANGLE))
