@@ -25,15 +25,17 @@ from dtwin.acquire.foreign_columns import (
     in_english,
     joined_heads,
     require_one_table,
+    require_usual_sign,
 )
 from dtwin.acquire.repeated_heads import require_one_block
 from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
 from dtwin.acquire.spreadsheet import first_rows, table_bytes
-from dtwin.acquire.table_dialect import decoded, rows_of
+from dtwin.acquire.table_dialect import decoded, remarks_of, rows_of
 from dtwin.acquire.time_stamps import FORM, FORMS, numbers_of, of_stamps, times_of_cells
 from dtwin.acquire.xmlsafe import number_or_none
 from dtwin.errors import InputError
 from dtwin.kinds.drift._model import sense
+from dtwin.kinds.drift._one_channel import require_one_channel
 from dtwin.kinds.drift._standing import COLDEST_C, HOTTEST_C, lost_readings, nothing_read, possible, standing, stepped
 from dtwin.positioning.table_heads import ANGLE
 from dtwin.schema import Campaign, Finding, Floats, Run, RunMeta
@@ -81,6 +83,11 @@ def _read_drift(path: Path, campaign: Campaign, stated: Mapping[str, Any]) -> tu
     require_one_table(said, body, path)
     _require_degrees(said, units, recipe, path)
     heads, factors, zeros = _named(said, units, recipe)
+    require_usual_sign([*remarks_of(text), *rows[: len(rows) - len(body)]], path)
+    known = [
+        i for i, name in enumerate(heads) if name in ("t_s", _STAMPED, _SAMPLE) or name.endswith(("_c", "_um", "_mm"))
+    ]
+    require_one_channel(said, body, known, path)
     column = {name: [row[i] for row in body] for i, name in enumerate(heads)}
     scales, zero_of = (dict(zip(heads, told, strict=True)) for told in (factors, zeros))
     temperatures = [name for name in heads if _TEMPERATURE.fullmatch(name)]

@@ -508,6 +508,23 @@ def test_a_second_displacement_below_the_first_is_refused(tmp_path: Path) -> Non
         read(path)
 
 
+@pytest.mark.parametrize(("head", "names"), [("Achse", "XZ"), ("Kanal", "12"), ("Sensor", ("T1", "T2"))])
+def test_rows_of_several_channels_in_turn_are_not_read_as_one(tmp_path: Path, head: str, names: str) -> None:
+    rows = [f"{n};{name};{n % 7},5;{20 + n / 10:.1f}" for n in range(60) for name in names]
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join([f"Zeit [s];{head};Verlagerung [µm];Spindel [°C]", *rows]), encoding="utf-8")
+    with pytest.raises(InputError, match="several axes, channels") as refused:
+        read(path)
+    assert refused.value.got == ", ".join(names)
+    # Of one channel, or in a state that lasts, they are.
+    lasting = [row.replace(f";{names[1]};", f";{names[0]};") for row in rows[:60:2]]
+    path.write_text("\n".join([f"Zeit [s];{head};Verlagerung [µm];Spindel [°C]", *lasting]), encoding="utf-8")
+    assert read(path).n_samples == 30
+    path.write_text("# Soll - Ist\n" + path.read_text(encoding="utf-8"), encoding="utf-8")
+    with pytest.raises(InputError, match="target minus actual"):
+        read(path)
+
+
 def test_a_zero_of_a_probe_that_read_nothing_is_left_out(tmp_path: Path) -> None:
     path = tmp_path / "a.csv"
     rows = [f"{n},{0 if n in (0, 40, 41) else n / 2 + 0.1},{20 + n / 10}" for n in range(60)]
