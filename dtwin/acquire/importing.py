@@ -35,6 +35,7 @@ from dtwin.acquire.foreign_columns import (
     require_told_apart,
     require_usual_sign,
 )
+from dtwin.acquire.one_channel import require_one_channel
 from dtwin.acquire.repeated_heads import require_heads_for_all
 from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
 from dtwin.acquire.spreadsheet import table_bytes
@@ -245,6 +246,7 @@ def understand(
             require_usual_sign([*looked.titles, heads], path)
             columns = columns_of(heads, looked.units, answers)
             require_told_apart(columns, looked.body, path)
+            require_one_channel(heads, looked.body, [i for i, one in enumerate(columns) if one.unit], path)
             plain = _as_csv(converted(columns, looked.body))
             write_text(lone, plain, "a table")
         kind = str(told.get("kind") or "") or _kind(lone, plain.partition("\n")[0].split(","), columns, path, told)

@@ -33,6 +33,7 @@ from dtwin.acquire.foreign_columns import (
     require_one_table,
     require_usual_sign,
 )
+from dtwin.acquire.one_channel import require_one_channel
 from dtwin.acquire.repeated_heads import counts_repeats, require_heads_for_all
 from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
 from dtwin.acquire.spreadsheet import first_text, table_bytes
@@ -166,6 +167,8 @@ def read_circle_runs(
     parts = blocks(columns, above, body)
     ways = [next((told for told, part in parts if part[n]), None) for n in range(len(body))]
     require_one_circle(columns, body, angle, ways, needed, path)
+    heads = [column.head for column in columns]
+    require_one_channel(heads, body, [*needed, direction_column(columns, body), run_column(columns)], path)
     runs: list[Run] = []
     for way, deviation_um in curves:
         good = np.isfinite(angle) & np.isfinite(deviation_um)

@@ -27,6 +27,7 @@ from dtwin.acquire.foreign_columns import (
     require_one_table,
     require_usual_sign,
 )
+from dtwin.acquire.one_channel import require_one_channel
 from dtwin.acquire.repeated_heads import require_one_block
 from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
 from dtwin.acquire.spreadsheet import first_rows, table_bytes
@@ -35,7 +36,6 @@ from dtwin.acquire.time_stamps import FORM, FORMS, numbers_of, of_stamps, times_
 from dtwin.acquire.xmlsafe import number_or_none
 from dtwin.errors import InputError
 from dtwin.kinds.drift._model import sense
-from dtwin.kinds.drift._one_channel import require_one_channel
 from dtwin.kinds.drift._standing import COLDEST_C, HOTTEST_C, lost_readings, nothing_read, possible, standing, stepped
 from dtwin.positioning.table_heads import ANGLE
 from dtwin.schema import Campaign, Finding, Floats, Run, RunMeta

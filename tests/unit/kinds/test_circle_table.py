@@ -415,6 +415,10 @@ def test_rows_of_several_circles_are_no_second_turn(
     with pytest.raises(InputError, match="several circles") as refused:
         understand(path, Home(tmp_path / "home"), TOLD, {})
     assert refused.value.got == ", ".join(names)
+    both = [f"{a},{d},{name}" for a, d in zip(ANGLE, error_um(ANGLE, 1.0), strict=True) for name in ("in", "out")]
+    path.write_text("\n".join([f"{heads},Kanal", *both]), encoding="utf-8")
+    with pytest.raises(InputError, match="several axes, channels"):
+        understand(path, Home(tmp_path / "home"), TOLD, {})
     # Beside parts of one turn words may change.
     rows = [f"{a},{d},{names[int(a > 180.0)]}" for a, d in zip(ANGLE, error_um(ANGLE, 1.0), strict=True)]
     path.write_text("\n".join([f"{heads},{head}", *rows]), encoding="utf-8")

@@ -1,4 +1,4 @@
-"""Whether each row of a log is of all that was read: logs with a row for each channel are not read as one of them."""
+"""Whether each row of a table is of all that was read: one with a row for each channel is not read as one of them."""
 
 from __future__ import annotations
 
@@ -17,7 +17,9 @@ _MOST, _OFTEN = 50, 1.0 / 3.0
 """Channels, and of the rows: how often another one follows."""
 
 
-def require_one_channel(heads: Sequence[str], body: Sequence[Sequence[str]], used: Container[int], path: Path) -> None:
+def require_one_channel(
+    heads: Sequence[str], body: Sequence[Sequence[str]], used: Container[int | None], path: Path
+) -> None:
     """Refuse rows that are of several axes, channels or sensors in turn, as a column tells: they would be taken for one."""
     for i in (i for i in range(len(heads)) if i not in used):
         told = [row[i].strip() for row in body if i < len(row) and row[i].strip()]
