@@ -28,8 +28,8 @@ _TOLD_ABOVE = (
     (
         "radius_mm",
         re.compile(
-            rf"(?:(?:(?<![^\W_])(?:nenn|soll|kreis|bahn)?radius|\b(?:rayon|raggio|radio)\b)(?:\W*[\[(]?\bmm\b[\])]?\W*|\W*(?=\S+\s*mm))|\br\s*=\s*|"
-            rf"\b(?:ball ?bar|bar|kugelstange\w*|stange\w*)[ -]*(?:length|länge|laenge)\W*(?=\S+\s*mm)|\blänge der (?:kugel)?stange\W*(?=\S+\s*mm)){_NUMBER}(?!\s*mm\s*/)",
+            rf"(?:(?:(?<!tool )(?<!ball )(?<!probe )(?<!stylus )(?<!corner )(?<![^\W_])(?:nenn|soll|kreis|bahn)?radius|\b(?:rayon|raggio|radio)\b)(?:\W*[\[(]?\bmm\b[\])]?\W*|\W*(?=\S+\s*mm))|\br\s*=\s*|"
+            rf"\b(?:ball ?bar|bar|kugelstange\w*|stange\w*)[ -]*(?:length|länge|laenge)\W*(?=\S+\s*mm)|\blänge der (?:kugel)?stange\W*(?=\S+\s*mm)){_NUMBER}(?!\s*mm\s*/|\s*[µμu]m\b)",
             re.I,
         ),
     ),
@@ -49,7 +49,20 @@ _PLANE_ABOVE = re.compile(
 )
 _OF_CODE = {"G17": "XY", "G18": "ZX", "G19": "YZ"}
 _SAME = 0.01
+_SLOWEST_MM_MIN = 50.0
 _MOST_BYTES = 64 * 1024**2
+
+
+def _value(name: str, number: str, unit: str) -> float:
+    """Return a condition in mm or mm/min; of ``1.000 mm/min`` the mark parts groups of digits, for no circle is so slow."""
+    value = float(number.replace(",", "."))
+    grouped = name == "feed_mm_min" and re.fullmatch(r"\d{1,2}[.,]\d{3}", number) and value < _SLOWEST_MM_MIN
+    return value * (1000.0 if unit.lower() == "m" or grouped else 1.0)
+
+
+def _has_unit(told: re.Match[str], rest: str) -> bool:
+    """Return whether a condition in a title, with what follows it there, has its unit."""
+    return re.search(r"mm\b|m\s*/\s*min", told[0] + rest.lstrip()[:2], re.I) is not None
 
 
 def told_above(path: Path) -> Mapping[str, Any]:
@@ -62,15 +75,14 @@ def told_above(path: Path) -> Mapping[str, Any]:
         return {}
     told: dict[str, Any] = {}
     for name, form in _TOLD_ABOVE:
+        # A radius without a unit may be one of a tool, or a result.
+        found = [(m, title[m.end() :]) for title in titles for m in form.finditer(title)]
         read = {
-            (m[1], m[form.groups])
-            for title in titles
-            for m in form.finditer(title)
-            if m[form.groups] or name == "radius_mm"
+            (m[1], "mm" if name == "radius_mm" else m[form.groups] or "mm") for m, rest in found if _has_unit(m, rest)
         }
         if len(read) == 1:
             (number, unit), *_ = read
-            told[name] = (1000.0 if unit.lower() == "m" else 1.0) * float(number.replace(",", "."))
+            told[name] = _value(name, number, unit)
     planes = {"".join(filter(None, m.groups())).upper() for title in titles for m in _PLANE_ABOVE.finditer(title)}
     named = planes.pop() if len(planes) == 1 else ""
     plane = _OF_CODE.get(named, named)
@@ -86,8 +98,7 @@ def require_as_titled(above: Sequence[Sequence[str]], stated: Mapping[str, Any],
 
     for name, form in _TOLD_ABOVE:
         read, told = found(form), stated.get(name)
-        scale = 1000.0 if read is not None and (read[form.groups] or "").lower() == "m" else 1.0
-        if read is not None and told and abs(scale * float(read[1].replace(",", ".")) - told) > _SAME * told:
+        if read is not None and told and abs(_value(name, read[1], read[form.groups] or "") - told) > _SAME * told:
             raise _titled(read[0], f"{name} {told:g}", path)
     plane, told = found(_PLANE_ABOVE), str(stated.get("plane", ""))
     if plane is not None and told:

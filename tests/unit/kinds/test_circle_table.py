@@ -19,6 +19,7 @@ from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.kinds.circular._circle_table import is_circle_table, read_circle_runs
 from dtwin.kinds.circular._circle_ways import way_of
+from dtwin.kinds.circular._titles import told_above
 from dtwin.schema import Campaign, Floats, Run
 
 TOLD = {"plane": "XY", "radius_mm": 150.0, "feed_mm_min": 1000.0, "machine": "mill-7"}
@@ -508,6 +509,15 @@ def test_what_titles_and_remarks_tell_need_not_be_stated_again(tmp_path: Path) -
     assert open_table(path, {"machine": "m"}).entries[0].stated.items() >= told.items()
     understood = understand(path, Home(tmp_path / "home"), {}, {})
     assert (understood.told, understood.missing) == (told, ())
+    for title, radius in {
+        "Radius [mm];100": 100.0,
+        "Tool radius: 25 mm": None,
+        "R = 12,5 µm": None,
+        "R=100": None,
+    }.items():
+        path.write_text(f"{title}\nVorschub: 1.000 mm/min\nangle [deg];ccw [µm]\n0;1\n1;2", encoding="utf-8")
+        assert (told_above(path).get("radius_mm"), told_above(path)["feed_mm_min"]) == (radius, 1000.0)
+    path.write_text(table(heads, ANGLE, error_um(ANGLE, 1.0), by=";"), encoding="utf-8")
     # Of two radii neither is taken.
     path.write_text("Radius: 100 mm\n" + path.read_text(encoding="utf-8"), encoding="utf-8")
     assert understand(path, Home(tmp_path / "home"), {}, {}).missing == ("radius_mm",)
