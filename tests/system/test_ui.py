@@ -338,6 +338,23 @@ def test_a_report_of_several_instruments_asks_which(page: Page, bench: Workbench
     expect(page.get_by_text("ISO 230-2").first).to_be_visible()
 
 
+def test_tables_that_are_dropped_at_once_keep_machine_campaign_and_day(page: Page, bench: Workbench) -> None:
+    page.goto(f"{bench.base}/campaigns")
+    rows = "\n".join(f"{n},5;{math.sin(n):.3f}".replace(".", ",") for n in range(360))
+    heads = "Ebene XY\nRadius 150 mm\nVorschub {} mm/min\nWinkel [°];ccw [µm]\n"
+    files = {f"k{feed}.csv": (heads.format(feed) + rows).encode() for feed in (1000, 2000)}
+    page.set_input_files("#pick-files", [{"name": n, "mimeType": "text/csv", "buffer": b} for n, b in files.items()])
+    dialog = page.get_by_role("dialog", name="What is this table?")
+    dialog.get_by_label("Machine", exact=True).fill("mill-z")
+    dialog.get_by_label("Campaign").fill("both-feeds")
+    dialog.get_by_role("button", name="Ingest").click()
+    expect(dialog.get_by_label("Programmed feed, mm/min")).to_have_value("2000")
+    expect(dialog.get_by_label("Machine", exact=True)).to_have_value("mill-z")
+    dialog.get_by_role("button", name="Ingest").click()
+    page.wait_for_url("**/campaigns/both-feeds")
+    expect(page.locator("tbody").get_by_text("CCW", exact=True)).to_have_count(2)
+
+
 def test_a_foreign_table_is_shown_corrected_and_remembered(page: Page, bench: Workbench, artifacts: Path) -> None:
     def drop(name: str, shift: float = 0.0) -> None:
         rows = [

@@ -501,7 +501,10 @@ async function understood(tray, name, before) {
   for (const key of first.unconfirmed) remembered[key] = first.conditions[key];
   for (const key of CONDITIONS) if (first.conditions[key] !== undefined) form.elements[key].value = first.conditions[key];
   // Files that are dropped at once are of one machine and day, as a rule; it is shown, and can be changed.
-  for (const key of ["machine", "campaign", "started"]) form.elements[key].value ||= before?.told[key] ?? "";
+  for (const key of ["machine", "campaign", "started"].filter((one) => before?.told[one])) {
+    form.elements[key].value = before.told[key];
+    delete remembered[key];
+  }
   form.elements.decimal.value = first.decimal || "";
   byId("work").close();
   dialog.showModal();
