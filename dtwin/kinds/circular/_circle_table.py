@@ -165,7 +165,10 @@ def read_circle_runs(
     if not form.pair and not stated.get("direction") and any(way is None for way, _ in curves):
         require_one_way(above, path)
     parts = blocks(columns, above, body)
-    ways = [next((told for told, part in parts if part[n]), None) for n in range(len(body))]
+    ways: list[Direction | None] = [None] * len(body)
+    for told, part in parts:
+        for n in np.flatnonzero(part):
+            ways[n] = told
     require_one_circle(columns, body, angle, ways, needed, path)
     heads = [column.head for column in columns]
     require_one_channel(heads, body, [*needed, direction_column(columns, body), run_column(columns)], path)

@@ -38,6 +38,8 @@ _SIDES = re.compile(r"left|right|links|rechts|^cw\d\d$")
 
 _BACK_DEG = 20.0
 """How far an angle runs back where the direction changes."""
+_FEWEST, _MOST_PARTS = 18, 1000
+"""Rows of a run, and runs of a table."""
 _STANDS = 5
 """Rows at one place of a machine that stands."""
 _COARSE_UM = (1000.0, 100.0, 10.0, 1.0)
@@ -65,12 +67,12 @@ def blocks(
 ) -> Sequence[tuple[Direction | None, NDArray[np.bool_]]]:
     """Return which rows were measured in one go, with the direction that a column of directions, or the title above them, tells.
 
-    A column that counts runs parts them, too.
+    A column that counts runs parts them, too. Where directions or runs alternate from row to row, the rows of each belong together.
     """
     counted = run_column(columns)
     of_run = [row[counted].strip() if counted is not None and counted < len(row) else "" for row in body]
     # A number for each row counts rows.
-    of_run = of_run if 2 * len(set(of_run)) < len(of_run) else [""] * len(of_run)
+    of_run = of_run if _FEWEST * len(set(of_run)) <= len(of_run) else [""] * len(of_run)
     column = direction_column(columns, body)
     told_above = ways_above(above)
     ways: list[Direction | None] = [told_above.pop() if len(told_above) == 1 else None]
@@ -86,9 +88,12 @@ def blocks(
             else:
                 ways.clear()
             ways.append(told)
-    ends = [*begins[1:], len(body)]
-    rows = np.arange(len(body))
-    return [(way, (rows >= a) & (rows < b)) for way, a, b in zip(ways, begins, ends, strict=True)]
+    alternate = len(begins) > min(len(body) / _FEWEST, _MOST_PARTS)
+    parts: dict[object, tuple[Direction | None, NDArray[np.bool_]]] = {}
+    for way, a, b in zip(ways, begins, [*begins[1:], len(body)], strict=True):
+        key = (way, of_run[a]) if alternate and body else a
+        parts.setdefault(key, (way, np.zeros(len(body), dtype=np.bool_)))[1][a:b] = True
+    return list(parts.values())
 
 
 def ways_above(above: Sequence[Sequence[str]]) -> set[Direction]:

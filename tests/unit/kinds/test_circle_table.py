@@ -371,6 +371,18 @@ def test_a_clock_and_a_title_that_tell_two_ways_are_an_error(tmp_path: Path) -> 
         assert "sign is turned round" in str(refused.value.got)
 
 
+@pytest.mark.parametrize("head", ["direction", "run"])
+def test_rows_of_both_directions_or_runs_in_turn_are_two_runs(tmp_path: Path, head: str) -> None:
+    names = ("CCW", "CW") if head == "direction" else ("1", "2")
+    pairs = zip(ANGLE, error_um(ANGLE, 1.0), error_um(ANGLE, -1.0), strict=True)
+    rows = [f"{a},{d},{name}" for a, *both in pairs for d, name in zip(both, names, strict=True)]
+    first, second = read(tmp_path / "a.csv", "\n".join([f"angle [deg],deviation [µm],{head}", *rows]))
+    assert first.samples["deviation_um"] == pytest.approx(error_um(ANGLE, 1.0))
+    order = -1 if head == "direction" else 1
+    assert second.samples["deviation_um"] == pytest.approx(error_um(ANGLE, -1.0)[::order])
+    assert (first.meta.direction, second.meta.direction) == ("CCW", "CW" if order < 0 else "CCW")
+
+
 def test_a_column_of_weeks_is_no_direction(tmp_path: Path) -> None:
     rows = [f"{a},{d},CW18" for a, d in zip(ANGLE, error_um(ANGLE, 1.0), strict=True)]
     path = tmp_path / "a.csv"
