@@ -157,7 +157,8 @@ def way_of_title(row: Sequence[str]) -> Direction | None:
     if behind or len(told) > 2:
         return behind[0] if len(set(behind)) == 1 else None
     if len(told) == 2:
-        return way_of(told[1]) if re.fullmatch(r"g0?[23]|c?cw|acw", told[1]) else None
+        code = re.search(r"\bg0?[23]\b|^(c?cw|acw)$", told[1])
+        return way_of(re.sub(r"\W+", " ", told[1])) if code else None
     words = re.sub(r"(?<!lauf )\b(left|right|links|rechts)\b|\bcw\d\d", "", told[0]) if told else ""
     return way_of(re.sub(r"[^\w-]+", " ", words))
 

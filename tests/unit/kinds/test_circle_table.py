@@ -18,7 +18,7 @@ from dtwin.acquire.quality import judge_run
 from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.kinds.circular._circle_table import is_circle_table, read_circle_runs
-from dtwin.kinds.circular._circle_ways import way_of
+from dtwin.kinds.circular._circle_ways import way_of, way_of_title
 from dtwin.kinds.circular._titles import told_above
 from dtwin.schema import Campaign, Floats, Run
 
@@ -605,4 +605,5 @@ def test_far_steps_of_the_angle_are_no_turns(tmp_path: Path, step_deg: float) ->
     [("left1", "CCW"), ("rechts2", "CW"), ("guzs", "CCW"), ("左回り", "CCW"), ("lefthand", None), ("upright1", None)],
 )
 def test_a_side_with_a_number_is_a_direction(head: str, way: str | None) -> None:
+    assert way_of_title(["Program", "O0123 (G02 I-150.)"]) == "CW"
     assert way_of(head) == way
