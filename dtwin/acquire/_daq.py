@@ -237,7 +237,14 @@ class AccelerometerTask(OpenAndClose):
                 where=self._target,
                 hint="start ni-grpc-device-server there and check address and port",
             ) from error
-        return nidaqmx.GrpcSessionOptions(self._server, "")
+        # A call has no limit of its own: a server that is frozen would hold the recording for ever.
+        limit_s = self._block_s + 2.0 * self._timeout_s
+
+        class Limited(grpc.UnaryUnaryClientInterceptor):
+            def intercept_unary_unary(self, going_on: Any, details: Any, request: Any) -> Any:
+                return going_on(details._replace(timeout=limit_s), request)
+
+        return nidaqmx.GrpcSessionOptions(grpc.intercept_channel(self._server, Limited()), "")
 
     def _read(self) -> int:
         """Read a block into ``self._block`` and return how many samples were lost before."""

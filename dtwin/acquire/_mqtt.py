@@ -27,6 +27,8 @@ _MAX_BYTES = 100_000
 _MOST_WAITING, _MOST_WAITING_BYTES = 200_000, 100_000_000
 _AWAY = "the broker could not be reached"
 _BEHIND_S = 0.5
+# A broker that is frozen keeps the connection: it is asked this often, and given up after twice as long.
+_KEEP_ALIVE_S = 5
 # By how much a sender's clock is ahead of the time that has passed before it was set, or never was right.
 _CLOCK_SET_S = 30.0
 # Milliseconds since 1970 have been above it since 1973, seconds are not before the year 5138.
@@ -133,7 +135,7 @@ class MqttRecorder(OpenAndClose):
             message.topic, bytes(message.payload), retained=message.retain
         )
         try:
-            client.connect(self._host, self._port)
+            client.connect(self._host, self._port, _KEEP_ALIVE_S)
             client.loop_start()
             well = ready.get(timeout=self._timeout_s)
         except (OSError, ValueError, queue.Empty) as error:
@@ -178,6 +180,7 @@ class MqttRecorder(OpenAndClose):
                 return reading
             if not client.is_connected() and math.isnan(self._away_s):
                 self._away_s = time.monotonic()
+                self._held.say(f"{_AWAY}; values of up to {2 * _KEEP_ALIVE_S} s before may be old")
             silent = math.isnan(self._newest_s) or not math.isnan(self._away_s)
             if silent and time.monotonic() >= until_s:
                 refused = f" that can be used, {self._refused} refused" if self._refused else ""

@@ -13,8 +13,8 @@ from conftest import require_program
 
 
 @contextmanager
-def running_broker(folder: Path, port: int = 0) -> Iterator[int]:
-    """Yield the port of a mosquitto; a given one is taken again."""
+def running_broker(folder: Path, port: int = 0, started: list[subprocess.Popen[bytes]] | None = None) -> Iterator[int]:
+    """Yield the port of a mosquitto; a given one is taken again. Its process is added to ``started``."""
     program = require_program("mosquitto", "mosquitto", "/usr/sbin")
     if not port:
         with socket.socket() as free:
@@ -23,6 +23,8 @@ def running_broker(folder: Path, port: int = 0) -> Iterator[int]:
     settings = folder / "mosquitto.conf"
     settings.write_text(f"listener {port} 127.0.0.1\nallow_anonymous true\n", encoding="utf-8")
     with subprocess.Popen([program, "-c", str(settings)], stderr=subprocess.DEVNULL) as process:
+        if started is not None:
+            started.append(process)
         until = time.monotonic() + 300.0
         while True:
             try:

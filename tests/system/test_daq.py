@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -166,6 +167,17 @@ def test_no_samples_in_time_is_said(daq: VirtualDaq) -> None:
         reading.read_block()
     assert caught.value.code == "daq.silent"
     reading.close()
+
+
+def test_a_server_that_freezes_is_said(daq: VirtualDaq) -> None:
+    reading = started(daq)
+    reading.read_block()
+    daq.process.send_signal(signal.SIGSTOP)
+    with pytest.raises(DeviceError) as caught:
+        reading.read_block()
+    reading.close()
+    daq.process.send_signal(signal.SIGCONT)
+    assert caught.value.code == "daq.server_lost"
 
 
 def test_a_server_that_dies_is_said(daq: VirtualDaq) -> None:

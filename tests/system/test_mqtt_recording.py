@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import signal
+import subprocess
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -210,6 +212,21 @@ def test_silence_is_said(tmp_path: Path) -> None:
         device.start()
         with pytest.raises(DeviceError) as caught:
             device.read()
+    assert caught.value.code == "mqtt.silent"
+
+
+def test_a_broker_that_freezes_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("dtwin.acquire._mqtt._KEEP_ALIVE_S", 1)
+    started: list[subprocess.Popen[bytes]] = []
+    with running_broker(tmp_path, started=started) as port, recorder(port, patience_s=1.0) as device:
+        device.start()
+        with machine(port) as publish:
+            publish("mill/x", 1.0)
+        until(device, lambda read: read["x_mm"].size > 0)
+        started[0].send_signal(signal.SIGSTOP)
+        with pytest.raises(DeviceError) as caught:
+            until(device, lambda read: False)
+        started[0].send_signal(signal.SIGCONT)
     assert caught.value.code == "mqtt.silent"
 
 
