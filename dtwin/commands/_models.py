@@ -113,7 +113,7 @@ def models(machine: Machine = None, as_json: Json = False) -> None:
     from dtwin.twins.registration import log_waiting, waiting_text
 
     left = log_waiting(home())
-    listing = listed(Registry(home()), home(), machine)
+    listing = listed(Registry(home(), reads=True), home(), machine)
     past = {m: history(home(), m) for m in sorted({v.machine for v, _ in listing})}
     payload = {
         "versions": [dict(vars(v)) | {"state": state} for v, state in listing],

@@ -114,7 +114,7 @@ def source_of(home: Home, name: str, machine: str | None, library: Mapping[str, 
     ``machine``: machine; needed when there are several, and for a version number.
     Raises ``InputError`` when there is no such thing.
     """
-    registry = Registry(home)
+    registry = Registry(home, reads=True)
     if name in NAMES or name.endswith(".json"):
         resolved = resolve(name, machine, home, harmless=True)
         bundle = Bundle.from_dict(read_json(resolved.path, MAX_BYTES))

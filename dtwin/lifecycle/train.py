@@ -42,7 +42,9 @@ def train(
     """Train every candidate on a campaign, log them, register the proposed one.
 
     Raises ``InputError`` when a correction was in force while it was measured, or it cannot be used otherwise.
+    Raises ``StoreError`` when the registry cannot be written, before a training that would be lost.
     """
+    Registry(home)
     return registered(home, trained(home, campaign, seed=seed, engine=engine, progress=progress), progress)
 
 

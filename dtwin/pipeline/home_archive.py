@@ -64,7 +64,8 @@ def backup(home: Home, out: Path, progress: Progress | None = None) -> _Archived
         raise InputError("the file is there already", code="home.exists", where=str(out), hint="give another name")
     entries: dict[str, list[Any]] = {}
     _require_local(home)
-    at_rest = Lake(home.lake).at_rest() if (home.root / "lake").is_dir() else nullcontext()
+    # Where it can only be read nobody writes, and no lock can be made.
+    at_rest = Lake(home.lake).at_rest() if os.access(home.root / "lake", os.W_OK) else nullcontext()
     with at_rest, whole_file(out, "the backup") as partial:
         partial.touch(mode=0o600)
         files = list(_files(home.root, partial))

@@ -152,7 +152,7 @@ def _unregistered(home: Home, machine: str, version: int) -> str:
     from dtwin.train.registry import Registry
 
     try:
-        Registry(home).version(machine, str(version))
+        Registry(home, reads=True).version(machine, str(version))
     except InputError:
         return f"version {version} is served, and the model registry does not know it: nothing can withdraw it"
     except DtwinError as error:

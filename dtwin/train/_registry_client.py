@@ -29,9 +29,10 @@ _ANSWER_S = 30
 _Found = TypeVar("_Found")
 
 
-def client_of(home: Home) -> MlflowClient:
+def client_of(home: Home, *, reads: bool = False) -> MlflowClient:
     """Return MLflow's client of a home.
 
+    ``reads``: nothing will be written, so the home need not be writable.
     Raises ``StoreError`` when its database cannot be written, or does not answer.
     """
     logging.getLogger("mlflow").setLevel(logging.WARNING)
@@ -40,11 +41,13 @@ def client_of(home: Home) -> MlflowClient:
     logging.getLogger("mlflow.store.db.utils").setLevel(logging.CRITICAL)
     uri = home.mlflow_uri
     database = Path(uri.removeprefix("sqlite:///")) if uri.startswith("sqlite:///") else None
+    only_reads = reads and database is not None and database.is_file() and not os.access(database.parent, os.W_OK)
     if database is not None:
         try:
-            home.made()
-            database.parent.mkdir(parents=True, exist_ok=True)
-            database.touch(mode=0o600)
+            if not only_reads:
+                home.made()
+                database.parent.mkdir(parents=True, exist_ok=True)
+                database.touch(mode=0o600)
             with closing(sqlite3.connect(database)) as opened:
                 opened.execute("PRAGMA schema_version")
         except OSError as error:
@@ -61,11 +64,11 @@ def client_of(home: Home) -> MlflowClient:
     elif uri.startswith("http"):
         _require_server(uri)
     # The first client of an empty database makes its tables; two at once would both make them.
-    alone = uri.startswith(("sqlite", "postgresql"))
+    alone = uri.startswith(("sqlite", "postgresql")) and not only_reads
     with locked(home.made().root / "locks" / "registry-tables.lock", wait=True) if alone else nullcontext():
-        if database is not None and not database.stat().st_size:
+        if alone and database is not None and not database.stat().st_size:
             _make_tables(database)
-        if database == home.root / "mlflow" / "mlflow.db" and isinstance(home.mlflow_artifacts, Path):
+        if alone and database == home.root / "mlflow" / "mlflow.db" and isinstance(home.mlflow_artifacts, Path):
             brought_here(database, home.mlflow_artifacts)
         return MlflowClient(tracking_uri=uri, registry_uri=uri)
 

@@ -69,12 +69,12 @@ class RegisteredVersion:
 
 
 class Registry:
-    """Runs and registered models in one MLflow store: the home gives that and the artifact folder."""
+    """Runs and registered models in one MLflow store: the home gives that and the artifact folder; see ``client_of``."""
 
-    def __init__(self, home: Home) -> None:
+    def __init__(self, home: Home, *, reads: bool = False) -> None:
         self.home = home
         self.uri = home.mlflow_uri
-        self.client = client_of(home)
+        self.client = client_of(home, reads=reads)
 
     @contextmanager
     def open_run(self, name: str, tags: Mapping[str, str]) -> Iterator[str]:

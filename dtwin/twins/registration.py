@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import os
 import re
 import subprocess
 import sys
@@ -164,10 +165,12 @@ def log_soon(home: Home, name: str, *, at_once: bool, ahead: bool = False) -> No
 def log_waiting(home: Home) -> list[_Waiting]:
     """Log what waits, in this process, and return what could not be logged.
 
-    Raises ``StoreError`` when the home cannot be written.
+    In a home that can only be read nothing is logged.
     """
     if not _something_waits(home):
         return []
+    if not os.access(home.root, os.W_OK):
+        return waiting(home)
     with locked(_lock(home, "logging"), wait=True):
         return _log_all(home)
 

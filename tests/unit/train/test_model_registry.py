@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import socket
+import subprocess
 from pathlib import Path
 from threading import Thread
 
 import pytest
+from typer.testing import CliRunner
 
+from dtwin.cli import app
 from dtwin.config import Home, home
 from dtwin.errors import InputError, StoreError
 from dtwin.train._registry_client import client_of
@@ -74,6 +78,28 @@ def test_a_home_that_was_copied_or_renamed_writes_beside_itself(tmp_path: Path, 
         again.log_files(later, {"b.txt": "second"})
     assert {path.name for path in now.root.rglob("*.txt")} == {"a.txt", "b.txt"}
     assert {path.name for path in before.root.rglob("*.txt")} == ({"a.txt"} if kept else set())
+
+
+def test_a_home_that_can_only_be_read_tells_its_models_and_is_backed_up(
+    registry: Registry, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    place = tmp_path / "home"
+    shutil.copytree(registry.home.root, place)
+    (place / "lake").mkdir()
+    mount = [["mount", "--bind", place, place], ["mount", "-o", "remount,bind,ro", place]]
+    if os.geteuid() != 0 or any(subprocess.run(command, check=False).returncode for command in mount):
+        pytest.skip("mounting a file system needs root, and a sandbox that allows it")
+    monkeypatch.setenv("DTWIN_HOME", str(place))
+    try:
+        listed = CliRunner().invoke(app, ["models"])
+        backed_up = CliRunner().invoke(app, ["home", "backup", str(tmp_path / "home.tar")])
+        # What trains or promotes refuses at once.
+        with pytest.raises(StoreError) as refused:
+            Registry(Home(place))
+    finally:
+        subprocess.run(["umount", place], check=True)
+    assert (listed.exit_code, backed_up.exit_code) == (0, 0), (listed.output, backed_up.output)
+    assert refused.value.code == "registry.write"
 
 
 def test_a_home_that_is_opened_by_a_link_keeps_the_names_of_its_files(tmp_path: Path) -> None:
