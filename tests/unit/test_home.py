@@ -279,7 +279,7 @@ def test_a_champion_that_the_registry_lost_is_found(lived_in: Home, monkeypatch:
     (lived_in.root / "mlflow" / "mlflow.db").write_bytes(b"")
     assert "nothing can withdraw it" in check_home(lived_in).wrong[f"bundles/{MACHINE}"]
 
-    def away(home: Home) -> Registry:
+    def away(home: Home, **_: bool) -> Registry:
         raise StoreError("the model registry cannot be written", code="registry.write")
 
     # On a disk that can only be read, nothing is known of it.

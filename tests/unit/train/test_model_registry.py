@@ -97,7 +97,7 @@ def test_a_home_that_can_only_be_read_tells_its_models_and_is_backed_up(
         with pytest.raises(StoreError) as refused:
             Registry(Home(place))
     finally:
-        subprocess.run(["umount", place], check=True)
+        subprocess.run(["umount", "--lazy", place], check=True)
     assert (listed.exit_code, backed_up.exit_code) == (0, 0), (listed.output, backed_up.output)
     assert refused.value.code == "registry.write"
 
