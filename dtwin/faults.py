@@ -19,6 +19,13 @@ _UNUSABLE = (
     errno.EEXIST,
     errno.ENAMETOOLONG,
     errno.ELOOP,
+    # A disk that fails, a share that went away, a device that is none.
+    errno.EIO,
+    errno.ESTALE,
+    errno.ENOTCONN,
+    errno.EREMOTEIO,
+    errno.ENXIO,
+    errno.ENODEV,
 )
 _LIBRARIES = {"mlflow.exceptions.MlflowException", "sqlalchemy.exc.SQLAlchemyError"}
 
@@ -52,5 +59,5 @@ def _not_usable(error: OSError) -> StoreError:
         code="store.permission",
         where=str(error.filename or "an unnamed file"),
         got=error.strerror or str(error),
-        hint="check permissions and free space, or set DTWIN_HOME to another folder",
+        hint="check permissions, free space and the disk or share itself, or set DTWIN_HOME to another folder",
     )

@@ -360,6 +360,9 @@ def inside(folder: Path, name: object, where: str) -> Path:
             got=name[:120],
             allowed="paths inside the folder",
         )
+    if path.exists() and not (path.is_file() or path.is_dir()):
+        # A pipe that nobody writes into would be waited for for ever.
+        raise InputError("a file of the campaign is a device or a pipe", code="campaign.file", where=where, got=name)
     return path
 
 

@@ -202,10 +202,20 @@ def require_unit_of(scale: Scale, rows: Sequence[Sequence[str]], path: Path) -> 
 def require_deviations(
     heads: Sequence[str], units: Sequence[str], body: Sequence[Sequence[str]], long: Long, path: Path, scale: Scale
 ) -> None:
-    """Refuse deviations of another sign or unit than positions that stand beside them say.
+    """Refuse deviations of another sign or unit than positions that stand beside them say, and a column beside another one of its name.
 
     ``units``: of the columns, as the row below the heads tells them.
     """
+    for read_in in (long.target, long.value):
+        alike = [n for n, other in enumerate(heads) if other.strip() == heads[read_in].strip()]
+        if any(len({row[n].strip() for n in alike if n < len(row)}) > 1 for row in body):
+            raise InputError(
+                "two columns have one name, and not the same in their cells",
+                code="position_table.twice",
+                where=str(path),
+                got=heads[read_in].strip()[:60],
+                hint="take one of them out, or number cycles: forward 1, reverse 1",
+            )
     head = heads[long.value]
     if _TURNED.match(head):
         raise _of_other_sign(head, path)

@@ -286,6 +286,8 @@ def test_a_registry_that_is_lost_in_the_middle_is_said_and_a_bad_home_file_does_
         (["plan", "/dev/zero"], "plan.file"),
         (["machine", "measure", "m", "/dev/zero"], "plan.file"),
         (["check", "a" * 300], "store.permission"),
+        # As a disk that fails, or a share that went away.
+        (["check", "/proc/self/mem"], "store.permission"),
         (["effects", "template", "a" * 300], "store.permission"),
         (["robot-program", "--watchdog-s", "1e309"], "ur.limits"),
         (["robot-program", "--slew-um-s", "1e309"], "ur.limits"),

@@ -108,13 +108,14 @@ def _read_drift(path: Path, campaign: Campaign, stated: Mapping[str, Any]) -> tu
             else 'other headers: [campaign.instrument.columns] with lines such as "frame_t" = "temperature_frame_c"',
         )
     cells = column[clock]
-    if twice := [head for head, name in zip(said, heads, strict=True) if name in moved and heads.count(name) > 1]:
+    once = (*moved, *temperatures)
+    if twice := [head for head, name in zip(said, heads, strict=True) if name in once and heads.count(name) > 1]:
         raise InputError(
-            "several columns are one displacement",
+            "several columns are one displacement or temperature",
             code="drift.twice",
             where=str(path),
             got=", ".join(twice)[:80],
-            allowed="one column of each displacement; a position of the machine is none",
+            allowed="one column of each; a position of the machine is no displacement",
             hint="leave one out, or rename it",
         )
     if clock == _STAMPED:

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 from pathlib import Path
 
@@ -137,6 +138,13 @@ def test_what_is_wrong_is_named_and_nothing_is_stored(
         ingest(folder(tmp_path, run, files), lake)
     assert caught.value.code == code
     assert lake.runs() == []
+
+
+def test_a_pipe_is_no_file_of_a_campaign(tmp_path: Path) -> None:
+    made = folder(tmp_path, RUN + 'signals = "pipe.parquet"\n')
+    os.mkfifo(made / "pipe.parquet")
+    with pytest.raises(InputError, match="a device or a pipe"):
+        open_campaign(made)
 
 
 def test_a_contradiction_between_toml_and_file_is_a_finding(tmp_path: Path, real_recording: Path) -> None:

@@ -297,6 +297,9 @@ def test_probes_of_one_axis_are_runs_of_their_own_and_a_time_without_a_unit_is_r
     )
     with pytest.raises(InputError, match="tell no unit"):
         list(open_source(path, {"machine": "m"})[1])
+    path.write_text("\n".join(["t_s,z1_um,frame_c,frame_c", *lines]), encoding="utf-8")
+    with pytest.raises(InputError, match="one displacement or temperature"):
+        list(open_source(path, {"machine": "m"})[1])
 
 
 def log(path: Path, stamps: list[str], *, head: str = "timestamp", spindle: list[float] | None = None) -> Path:

@@ -728,6 +728,8 @@ def test_readings_above_the_first_title_of_a_direction_are_not_dropped(tmp_path:
         ("Soll;hin 1;rück 1\n0;1;2\n500000;500001;500002", "position_table.unit"),
         ("Target [mm],Target - measured fwd 1 [µm],Target - measured rev 1 [µm]\n0,1,2\n9,2,3", "position_table.sign"),
         ("Target [mm],from + 1 [µm],from - 1 [µm]\n0,1,2\n9,2,3", "position_table.side"),
+        ("target_mm,direction,error_um,error_um\n0,forward,1,5\n9,forward,2,7", "position_table.twice"),
+        ("target_mm,target_mm,direction,error_um\n0,0,forward,1\n8,9,forward,2", "position_table.twice"),
         ("Error = target - actual\nTarget [mm],fwd 1 [µm],rev 1 [µm]\n0,1,2\n9,2,3", "position_table.sign"),
         ("Target Ø [mm],fwd 1 [µm],rev 1 [µm]\n0,1,2\n9,2,3", "position_table.diameter"),
         ("Soll-Durchmesser [mm],hin 1 [µm],rück 1 [µm]\n0,1,2\n9,2,3", "position_table.diameter"),
