@@ -47,6 +47,8 @@ _WARMED_TWINS = 3
 _KINDS = {".js": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml"}
 _FOREVER = {"Cache-Control": "public, max-age=31536000, immutable"}
 _PATIENCE_S = 30.0
+# Systems limit a process to 1024 open files; whoever comes beyond it is not answered, and the server says so without an end.
+_MOST_OPEN, _AT_ONCE = 500, 100
 
 
 def application(bench: Bench) -> Guarded:
@@ -107,6 +109,7 @@ def run(
         access_log=False,
         server_header=False,
         timeout_graceful_shutdown=3,
+        backlog=_AT_ONCE,
     )
     _Announcing(config, lambda: announce(access.address)).run(sockets=[listening])
 
@@ -202,7 +205,7 @@ def _unknown(request: Request, error: Exception) -> Response:
 class Connection(H11Protocol):
     """A connection that is closed when the head of its next request is not whole in time, or nothing of an answer is taken.
 
-    The server itself limits only how long nothing at all comes after an answer.
+    Of very many, one that waits for a request gives way to each new one. The server itself limits only how long nothing at all comes after an answer.
     """
 
     _until: asyncio.TimerHandle | None = None
@@ -211,6 +214,11 @@ class Connection(H11Protocol):
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """Wait for the first request."""
         super().connection_made(transport)
+        if len(self.connections) > _MOST_OPEN:
+            waiting = (c for c in self.connections if isinstance(c, Connection) and c._until is not None)
+            closed = next(waiting, self)
+            closed._wait_no_more()
+            closed.transport.abort()
         self._wait()
 
     def data_received(self, data: bytes) -> None:

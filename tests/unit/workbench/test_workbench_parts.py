@@ -3,6 +3,7 @@ from __future__ import annotations
 import asyncio
 import io
 import json
+import select
 import socket
 import sqlite3
 import subprocess
@@ -11,6 +12,7 @@ import threading
 import time
 import tomllib
 import zipfile
+from contextlib import ExitStack
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -469,6 +471,20 @@ def test_a_connection_that_asks_nothing_is_closed_and_slow_work_is_not(monkeypat
                         break
                 else:
                     pytest.fail(f"open still: {asked!r}")
+        # Of very many that say nothing, one gives way to each that comes.
+        monkeypatch.setattr(_server, "_MOST_OPEN", 5)
+        monkeypatch.setattr(_server, "_PATIENCE_S", 600.0)
+        with ExitStack() as held:
+            clients = [
+                held.enter_context(socket.create_connection(listening.getsockname(), timeout=60.0)) for _ in range(20)
+            ]
+            for _ in range(1200):
+                if len(select.select(clients, [], [], 0.0)[0]) == 15:
+                    break
+                time.sleep(0.05)
+            else:
+                pytest.fail("as many are open as have come")
+        monkeypatch.setattr(_server, "_PATIENCE_S", 0.4)
         with socket.create_connection(listening.getsockname(), timeout=60.0) as client:
             client.sendall(b"GET /much HTTP/1.1\r\nHost: a\r\n\r\n")
             assert client.recv(12) == b"HTTP/1.1 200"
