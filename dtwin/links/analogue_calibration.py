@@ -59,6 +59,8 @@ def read_points(path: Path) -> dict[str, tuple[Floats, Floats]]:
     """
     rows: dict[str, list[list[float]]] = {}
     try:
+        if path.exists() and not path.is_file():
+            raise ValueError("no plain file")
         with path.open(newline="", encoding="utf-8-sig") as file:
             reader = csv.DictReader(file)
             if tuple(reader.fieldnames or ()) != HEAD:
@@ -73,7 +75,7 @@ def read_points(path: Path) -> dict[str, tuple[Floats, Floats]]:
                 if not all(math.isfinite(v) for v in values):
                     raise _bad(path, f"line {number}", str(values), "finite numbers")
                 rows.setdefault(row["axis"], []).append(values)
-    except (OSError, ValueError, TypeError) as error:
+    except (OSError, ValueError, TypeError, csv.Error) as error:
         raise _bad(path, "file", str(error)[:120], "a CSV file of numbers") from error
     return {axis: (np.array(found)[:, 0], np.array(found)[:, 1:]) for axis, found in rows.items()}
 

@@ -88,6 +88,7 @@ def test_a_calibration_comes_back_from_its_file(tmp_path: Path) -> None:
         f"{','.join(HEAD)}\nx,nan,1,1,1",
         f"{','.join(HEAD)}\nx,one,1,1,1",
         f"{','.join(HEAD)}\nx,1,5,1,1,1",
+        "x" * 200_000,
     ],
 )
 def test_a_points_file_with_a_mistake_is_refused(tmp_path: Path, text: str) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -36,6 +37,14 @@ def test_threads_that_write_one_file_at_once_take_nothing_from_each_other(tmp_pa
         assert path.read_text() == "second"
     assert path.read_text() == "first"
     assert [p.name for p in tmp_path.iterdir()] == ["bundle.json"]
+
+
+def test_a_device_or_a_pipe_is_not_replaced_by_a_file(tmp_path: Path) -> None:
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    with pytest.raises(StoreError, match="cannot be written"):
+        write_text(pipe, "text", "it")
+    assert pipe.is_fifo()
 
 
 def test_what_could_not_be_written_leaves_no_folder(tmp_path: Path) -> None:
