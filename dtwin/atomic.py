@@ -33,8 +33,8 @@ def whole_file(path: Path, what: str) -> Iterator[Path]:
     partial = path.with_name(f".{path.name}.{os.getpid()}-{get_ident()}-{next(_NUMBERS)}.partial")
     absent = [folder for folder in path.parents if not folder.exists()]
     try:
-        if path.exists() and not (path.is_file() or path.is_dir()):
-            # A file would take its place: of /dev/null, for every program.
+        if path.parent == Path("/dev") or (path.exists() and not (path.is_file() or path.is_dir())):
+            # A file would take its place: of /dev/null or /dev/stdout, for every program.
             raise OSError(errno.EINVAL, "a device or a pipe is no file")
         make_folder(path.parent)
         yield partial
