@@ -110,6 +110,11 @@ class DaqWindows(Closed):
             self._listen(0.0)
         return self._fault
 
+    @property
+    def over(self) -> bool:
+        """Whether the reading process has ended, as ``fault`` found: it looks for a lost module, and nothing looks for it."""
+        return self._over
+
     def close(self) -> None:
         """End sampling and release the modules; safe to call twice."""
         if self._process.stdin is not None and not self._process.stdin.closed:

@@ -151,3 +151,8 @@ class _ChannelWindows:
     def fault(self) -> DtwinError | None:
         """Return None: a control that samples no more is seen by its silence."""
         return None
+
+    @property
+    def over(self) -> bool:
+        """Whether no window will come again: that is not known here."""
+        return False

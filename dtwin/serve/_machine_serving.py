@@ -15,6 +15,7 @@ from dtwin.serve._program_watch import fault_of
 from dtwin.serve.decision import Decision
 from dtwin.serve.live_board import LiveBoard
 from dtwin.serve.loop import Link, Mode, ServeStatus, ServingLoop
+from dtwin.serve.safety import STALE_WINDOW
 
 RATE_HZ = 500.0
 _FIRST_STATE_S = 5.0
@@ -198,6 +199,7 @@ class _Stops:
         self._asked, self._watch, self._guard = asked, loop.watch, decision.guard
         self._sensors, self._patience_s = decision.sensors, request.patience_s
         self._withdrawn, self._reason = withdrawn, ""
+        self._broken: DtwinError | None = None
         self.why = ""
 
     def __call__(self) -> bool:
@@ -210,13 +212,23 @@ class _Stops:
             self.why = "latched"
         elif self._asked():
             self.why = "stopped"
+        elif self._guard.reason == STALE_WINDOW and self._sensors_ended():
+            self.why = self._broken.code if self._broken is not None else ""
         else:
             self._reason = self._withdrawn()
             self.why = "withdrawn" if self._reason else ""
         return bool(self.why)
 
+    def _sensors_ended(self) -> bool:
+        """Return whether windows will never come again: zeros would be sent for ever."""
+        if self._sensors is not None:
+            self._broken = self._sensors.fault()
+        return self._broken is not None and self._sensors is not None and self._sensors.over
+
     def fault(self, where: str) -> DtwinError | None:
         """Return what a stop that nobody asked for means."""
+        if self._broken is not None and self.why == self._broken.code:
+            return self._broken
         if self.why == "latched":
             broken = self._sensors.fault() if self._sensors is not None else None
             got = f"{self._guard.trips} faults" + (f"; the sensors: {broken}" if broken else "")

@@ -48,6 +48,10 @@ class SensorSource(Protocol):
     def fault(self) -> DtwinError | None:
         """Return why no more windows come, or None."""
 
+    @property
+    def over(self) -> bool:
+        """Whether they will never come again."""
+
 
 class Decision:
     """Features, equation, direction and safety of one served bundle.

@@ -282,6 +282,8 @@ def test_a_model_that_is_withdrawn_while_it_is_served_lets_go(robot: VirtualRobo
 class SpoiledWindows:
     """One window every 10 ms, of a sensor that goes through its faults."""
 
+    over = False
+
     def __init__(self, contract: WindowContract) -> None:
         self.contract = contract
         self._rng = np.random.default_rng(0)
