@@ -254,7 +254,8 @@ def _start_flows(home: Home, request: UpRequest, found: Servers) -> None:
     }
     if "prefect_enter" in found.addresses:
         env["PREFECT_API_AUTH_STRING"] = auth_string(home)
-    command = [sys.executable, "-P", "-m", "flows", *(["--cron", request.cron] if request.cron else [])]
+    command = [sys.executable, "-P", "-m", "flows", f"--with={os.getpid()}"]
+    command += ["--cron", request.cron] if request.cron else []
     found.children.append(Child("the flows", command, env, home.logs / "flows.log", stops_its_own=True))
 
 

@@ -265,11 +265,21 @@ def test_a_child_that_will_not_end_is_ended_with_what_it_started(
     wait_for(lambda: _ended(grandchild), "the grandchild lives")
 
 
-def test_children_end_when_up_is_killed(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "child",
+    [
+        "import time; print('there', flush=True); time.sleep(600)",
+        # As Prefect's runner, which waits for a server that has ended, too.
+        "import os, signal; signal.signal(signal.SIGTERM, signal.SIG_IGN);"
+        "from flows import __main__ as runner; print('there', flush=True);"
+        "runner._LOOK_S = runner._GRACE_S = 0.1; runner._end_with(os.getppid())",
+    ],
+)
+def test_children_end_when_up_is_killed(child: str, tmp_path: Path) -> None:
     home = Home(tmp_path / "state")
     program = (
         "import os, sys, time; from pathlib import Path; from flows.servers import Child;"
-        "c = Child('x', [sys.executable, '-c', 'import time; time.sleep(600)'], os.environ,"
+        f"c = Child('x', [sys.executable, '-c', {child!r}], os.environ,"
         f"Path({str(tmp_path)!r}) / 'x.log'); print(c.process.pid, flush=True); time.sleep(600)"
     )
     parent = subprocess.Popen(
@@ -279,12 +289,13 @@ def test_children_end_when_up_is_killed(tmp_path: Path) -> None:
         text=True,
     )
     assert parent.stdout is not None
-    child = int(parent.stdout.readline())
-    assert not _ended(child)
+    started = int(parent.stdout.readline())
+    wait_for((tmp_path / "x.log").read_text, "the child said nothing")
+    assert not _ended(started)
     parent.kill()
     parent.wait(300)
     parent.stdout.close()
-    wait_for(lambda: _ended(child), "the child outlived its killed parent")
+    wait_for(lambda: _ended(started), "the child outlived its killed parent")
 
 
 def _ended(pid: int) -> bool:
