@@ -28,6 +28,8 @@ FULL_SCALE_MV = 5000.0
 _OVERRUN = "overrun: the host read too slowly (-200279)"
 
 _OVERWRITTEN = -200279
+# A chassis on a network takes seconds to be set up.
+_SET_UP_S, _AGAIN_S = 10.0, 1.0
 
 
 @dataclass(frozen=True)
@@ -238,11 +240,18 @@ class AccelerometerTask(OpenAndClose):
                 hint="start ni-grpc-device-server there and check address and port",
             ) from error
         # A call has no limit of its own: a server that is frozen would hold the recording for ever.
-        limit_s = self._block_s + 2.0 * self._timeout_s
+        read_s = self._block_s + 2.0 * self._timeout_s
 
         class Limited(grpc.UnaryUnaryClientInterceptor):
+            """Limits every call, the more so once one was too late."""
+
+            late = False
+
             def intercept_unary_unary(self, going_on: Any, details: Any, request: Any) -> Any:
-                return going_on(details._replace(timeout=limit_s), request)
+                limit_s = _AGAIN_S if self.late else read_s if "Read" in details.method else read_s + _SET_UP_S
+                call = going_on(details._replace(timeout=limit_s), request)
+                self.late = call.code() == grpc.StatusCode.DEADLINE_EXCEEDED
+                return call
 
         return nidaqmx.GrpcSessionOptions(grpc.intercept_channel(self._server, Limited()), "")
 
