@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -271,6 +272,7 @@ def _concluded(
     left = localise.in_angle(candidates.given(bare, [*terms, *places]))
     found = replace(found, first=first.first, systematic_um=(first.systematic_um[0], found.systematic_um[1]))
     fit_p = first.lack_of_fit[0] if others or unknown else found.lack_of_fit[1]
+    blank = replace(blank, places=tuple(_as_place(law) for law in places))
     beside_um, where = laws_in_words(places, bare, terms, candidates) if places else (0.0, "")
     unresolved = unresolved_part(found, left, fit_p, beside_um, where) if told else None
     laws = tuple(search_laws(candidates.given(problem, terms))) if told else ()
@@ -302,6 +304,10 @@ def _concluded(
     if foreign:
         said += f"; besides, something moves with {', '.join(foreign)}"
     return replace(blank, verdict=verdict, headline=said, found=groups)
+
+
+def _as_place(law: Term) -> dict[str, Any]:
+    return {"effect": law.instance.effect.name, "axis": law.instance.axis, "shape": dict(law.shape)}
 
 
 def _tests(found: Search) -> Tests:

@@ -134,6 +134,8 @@ class Diagnosis:
         where: Conditions and angles where the residual is largest.
         channels: Logged channels that explain the spread between repeats.
         laws: Laws of structure that no effect explains.
+        places: Learned effects of an axis, a step or a bump at one place, that are a part of what is not resolved: effect,
+            axis and shape.
         closest: The effect whose shape comes closest to unknown structure.
         invisible: Effects that would hide in the set-up or in known effects.
         untestable: Effects that cannot be judged, and why.
@@ -157,6 +159,7 @@ class Diagnosis:
     where: tuple[Mapping[str, Any], ...] = ()
     channels: tuple[Channel, ...] = ()
     laws: tuple[ScalingLaw, ...] = ()
+    places: tuple[Mapping[str, Any], ...] = ()
     closest: str | None = None
     invisible: tuple[str, ...] = ()
     untestable: Mapping[str, str] = field(default_factory=dict)
@@ -202,6 +205,7 @@ class Diagnosis:
             "where": [dict(place) for place in self.where],
             "channels": [channel.as_dict() for channel in self.channels],
             "laws": [law.as_dict() for law in self.laws],
+            "places": [dict(place) for place in self.places],
             "closest": self.closest,
             "invisible": list(self.invisible),
             "untestable": dict(self.untestable),

@@ -10,11 +10,11 @@ import numpy as np
 from dtwin.errors import InputError
 from dtwin.physics._law_search import LawKey, ScalingLaw
 from dtwin.physics.effect import Effect, Law, Parameter, Shape, stacked
+from dtwin.physics.learned_places import LEARNED, PLACES
 from dtwin.physics.state import State
 from dtwin.schema import Floats
 
 PREFIX = "learned_"
-LEARNED = "learned"
 _REFERENCE_FEED_MM_S = 50.0
 _REFERENCE_RADIUS_MM = 100.0
 _NAME = re.compile(r"learned_(even|odd)_h(\d+)_f(m?\d+(?:p\d)?)_r(m?\d+(?:p\d)?)")
@@ -47,13 +47,15 @@ def learned_effect(name: str) -> Effect:
     ``name``: ``learned_odd_h3_f1_r0``: odd in direction, third harmonic, feed to the power of one.
     Raises ``InputError`` when the name describes no law.
     """
+    if name in PLACES:
+        return PLACES[name]
     found = _NAME.fullmatch(name)
     if found is None:
         raise InputError(
             "this is not the name of a learned effect",
             code="effect.learned",
             got=name[:60],
-            allowed="learned_(even|odd)_hN_fA_rB, as dtwin twin learn makes them",
+            allowed=f"learned_(even|odd)_hN_fA_rB, as dtwin twin learn makes them, {', '.join(PLACES)}",
         )
     parity, harmonic = found[1], int(found[2])
     feed, radius = _decoded(found[3]), _decoded(found[4])

@@ -32,6 +32,8 @@ _OWN = frozenset(
         "thermal_shift",
         "warming_growth",
         "instrument_artefact",
+        "learned_bump",
+        "learned_step",
         "measurement_delay",
         "slow_take_up",
         "worn_screw",

@@ -376,6 +376,8 @@ def _advice(name: str, result: Mapping[str, Any]) -> str:
         return "these runs cannot tell them apart; adding one would only be a guess"
     if result["verdict"] == "unknown_effect" and result["closest"] in result["untestable"]:
         return f"measure more repeats: they tell whether it is {result['closest']}"
+    if result.get("places"):
+        return f"a description of it, without a cause: dtwin twin discover {name}"
     if result["verdict"] == "unknown_effect":
         return "write your own effect: dtwin effects template NAME"
     if result["verdict"] == "need_repeats":

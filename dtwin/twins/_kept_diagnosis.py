@@ -170,6 +170,7 @@ def _diagnosis(document: Mapping[str, Any]) -> Diagnosis:
         where=tuple(document["where"]),
         channels=tuple(Channel(**{**c, "instead": tuple(c["instead"])}) for c in document["channels"]),
         laws=tuple(ScalingLaw(**{k: v for k, v in law.items() if k != "equation"}) for law in document["laws"]),
+        places=tuple(document.get("places", ())),
         closest=document["closest"],
         invisible=tuple(document["invisible"]),
         untestable=document["untestable"],

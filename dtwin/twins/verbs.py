@@ -16,7 +16,7 @@ from dtwin.locks import take
 from dtwin.physics import localise
 from dtwin.physics.budget import Budget
 from dtwin.physics.diagnose import diagnose
-from dtwin.physics.diagnosis import Diagnosis
+from dtwin.physics.diagnosis import Diagnosis, Suspect
 from dtwin.physics.effect import Effect
 from dtwin.physics.experiment import next_experiment
 from dtwin.physics.fit import fit
@@ -242,16 +242,16 @@ class Twins(TwinShelf):
         groups: list[tuple[str, ...]] = []
         twin, said = self.diagnose(name, seed=seed)
         loaded = self._load(twin.campaigns)
-        large = said.found
-        while large and len(made) < _MOST_RUNGS:
-            for number, group in enumerate(large, start=1):
-                first, last = group[0], number == len(large)
+        found = _to_add(said.found, said, twin)
+        while found and len(made) < _MOST_RUNGS:
+            for number, (labels, effect, axis, shape) in enumerate(found, start=1):
                 # The diagnosis refined the shapes of all that it found together: once more is enough.
-                twin = self._added(twin, loaded, first.effect, first.axis, first.shape, refine=last, ahead=False)
+                last = number == len(found)
+                twin = self._added(twin, loaded, effect, axis, shape, refine=last, ahead=False)
                 made.append(twin)
-                groups.append(tuple(suspect.label for suspect in group))
+                groups.append(labels)
             _, said = self.diagnose(name, seed=seed)
-            large = said.to_add(twin.labels, [one.obs for one in loaded])
+            found = _to_add(said.to_add(twin.labels, [one.obs for one in loaded]), said, twin)
         return made, groups, said
 
     def members(self, campaigns: Sequence[str]) -> Sequence[PathMember]:
@@ -308,3 +308,18 @@ class Twins(TwinShelf):
             twin = twin_of(fitted, one.obs, name=name, version=version, action=action, data=one.data)
         self.store(twin.as_dict(), ahead=ahead and is_built_in(self.library))
         return with_record(self.home, twin)
+
+
+_Addition = tuple[tuple[str, ...], str, str, Mapping[str, float]]
+
+
+def _to_add(groups: Sequence[Sequence[Suspect]], said: Diagnosis, twin: Twin) -> list[_Addition]:
+    """Return what is added to a twin: labels, effect, axis and shape of the leaders of groups, and of what happens at one place.
+
+    Without that the sizes of the others would have a part of it.
+    """
+    leaders = [
+        (tuple(s.label for s in group), group[0].effect, group[0].axis, group[0].shape or {}) for group in groups
+    ]
+    places = [((f"{p['effect']} {p['axis']}",), p["effect"], p["axis"], p["shape"]) for p in said.places]
+    return [*leaders, *(place for place in places if place[0][0] not in twin.labels)]

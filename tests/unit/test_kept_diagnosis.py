@@ -49,6 +49,7 @@ def whole() -> Diagnosis:
         where=({"condition": "XY R50", "um": 1.2},),
         channels=(Channel("humidity", 0.01, 0.4, ("time_h",)),),
         laws=(ScalingLaw(4, True, 0.0, 3.0, 1e-4, 20.0, 0.08),),
+        places=({"effect": "learned_step", "axis": "X", "shape": {"place_of_travel": 0.4, "late_of_travel": 0.1}},),
         closest="friction X",
         invisible=("gravity_sag X",),
         untestable={"thermal_growth X": "temperature_c was not logged"},

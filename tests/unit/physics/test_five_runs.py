@@ -161,13 +161,26 @@ def test_what_happens_at_one_place_is_said_and_is_no_curve_and_no_wear() -> None
     """A door catches the slide past 400 mm, and lets it go 60 mm later on the way back; beside it play and lead."""
     forward, reverse = AT_MM > 400.0, AT_MM > 340.0
     told = 6.0 * SHARE + np.array([[-1.5], [1.5]])
-    found = diagnose(campaign(told + 5.0 * np.stack([forward, reverse]), np.random.default_rng(4)), [], LIBRARY)
+    obs = campaign(told + 5.0 * np.stack([forward, reverse]), np.random.default_rng(4))
+    found = diagnose(obs, [], LIBRARY)
     assert {group[0].label for group in found.found} == {"lead_error X", "backlash X"}
     assert found.unresolved is not None
     size_um, there_mm, back_mm = map(float, re.findall(r"[\d.]+(?= µm at| mm)", found.unresolved.words))
     assert found.headline.endswith(found.unresolved.words)
     assert (size_um, there_mm, back_mm) == pytest.approx((5.0, 400.0, 340.0), abs=AT_MM[-1] / TARGETS)
     assert size_um == pytest.approx(5.0, abs=0.3)
+    # With it a twin has the true sizes of the others, and lacks nothing.
+    (place,) = found.places
+    known = [
+        Term(Instance(LIBRARY[name], "X"), shape)
+        for name, shape in ((place["effect"], place["shape"]), ("lead_error", {}))
+    ]
+    twin = fit(obs, [*known, *chosen_terms(["backlash"], LIBRARY, obs)])
+    sizes = {e.effect: (e.value, e.uncertainty) for e in twin.estimates if e.name != "standstill"}
+    ppm = 6.0e3 / np.ptp(AT_MM)
+    assert sizes["lead_error"][0] == pytest.approx(ppm, abs=sizes["lead_error"][1])
+    assert sizes["backlash"][0] == pytest.approx(3.0, abs=sizes["backlash"][1])
+    assert diagnose(obs, twin.terms, LIBRARY).verdict == "nothing_missing"
 
 
 @pytest.mark.parametrize(
