@@ -19,6 +19,7 @@ from dtwin.physics.problem import Problem, Term
 _SHARE_OF_REST = 0.1
 # More left than this many times the noise is misfit.
 MISFIT = 1.05
+# And less than this many times hardly more than noise.
 _HARDLY_MORE = 1.25
 _PASSES = 8
 _MOVES = 40

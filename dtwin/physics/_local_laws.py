@@ -32,7 +32,8 @@ def local_laws(obs: Observations) -> list[Instance]:
     gap = float(np.diff(shares).mean())
     stride = 1 + len(between) // _EVERY
     pairs = [(one, other) for n, one in enumerate(between) for other in between[n::-stride]]
-    steps = tuple({PLACE: a, LATE: a - b} for a, b in pairs if a - b <= _LATEST)
+    latest = _LATEST if len({c.sense for c in obs.conditions}) > 1 else 0.0
+    steps = tuple({PLACE: a, LATE: a - b} for a, b in pairs if a - b <= latest)
     place, late = STEP.shapes
     step = replace(STEP, shapes=(replace(place, grid=(between[0],)), late), also_tried=steps)
     middle, reach = BUMP.shapes

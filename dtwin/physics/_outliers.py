@@ -69,21 +69,25 @@ def _odd_sweeps(problem: Problem) -> list[int]:
     What warms up, drifts and creeps bends whole sweeps: a curve of third order of each is no part of it.
     """
     obs = problem.obs
-    rows = [np.flatnonzero(obs.run_of == run) for run in range(int(obs.run_of.max()) + 1)]
-    if len(rows) < _FEWEST_RUNS or obs.n_bins <= 2 * _BENDS or len({len(r) for r in rows}) > 1 or not obs.mask.all():
+    if obs.n_bins <= 2 * _BENDS or not obs.mask.all():
         return []
     low, high = obs.grid.points.min(), obs.grid.points.max()
     along = (2.0 * obs.grid.points - low - high) / (high - low)
     bends = np.linalg.qr(np.polynomial.legendre.legvander(along, _BENDS - 1))[0]
     plain = from_harmonics(problem.residual / problem.weights)
     rough = plain - (plain @ bends) @ bends.T
-    sweeps = np.stack([rough[r].ravel() for r in rows])
-    ratios = []
-    for run in range(len(rows)):
-        gap, spread = _gap_and_spread(sweeps[run], np.delete(sweeps, run, axis=0))
-        ratios.append(gap / max(spread, 1e-300))
-    worst = int(np.argmax(ratios))
-    return rows[worst].tolist() if ratios[worst] > _RATIO else []
+    alike: dict[tuple[int, ...], list[list[int]]] = {}
+    for run in range(int(obs.run_of.max()) + 1):
+        rows = sorted(np.flatnonzero(obs.run_of == run).tolist(), key=lambda row: int(obs.condition_of[row]))
+        alike.setdefault(tuple(obs.condition_of[rows].tolist()), []).append(rows)
+    ratios: list[tuple[float, list[int]]] = []
+    for runs in (runs for runs in alike.values() if len(runs) >= _FEWEST_RUNS):
+        sweeps = rough[runs].reshape(len(runs), -1)
+        for number, rows in enumerate(runs):
+            gap, spread = _gap_and_spread(sweeps[number], np.delete(sweeps, number, axis=0))
+            ratios.append((gap / max(spread, 1e-300), rows))
+    ratio, worst = max(ratios, default=(0.0, []))
+    return worst if ratio > _RATIO else []
 
 
 def odd_of_two(problem: Problem, tried: Sequence[Instance], again: Callable[[Observations], Problem]) -> list[int]:

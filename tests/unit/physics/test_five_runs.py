@@ -7,6 +7,7 @@ import re
 import numpy as np
 import pytest
 
+from dtwin.physics._local_laws import local_laws
 from dtwin.physics.candidates import Candidates
 from dtwin.physics.diagnose import diagnose
 from dtwin.physics.effect import Instance
@@ -181,6 +182,8 @@ def test_what_happens_at_one_place_is_said_and_is_no_curve_and_no_wear() -> None
     assert sizes["lead_error"][0] == pytest.approx(ppm, abs=sizes["lead_error"][1])
     assert sizes["backlash"][0] == pytest.approx(3.0, abs=sizes["backlash"][1])
     assert diagnose(obs, twin.terms, LIBRARY).verdict == "nothing_missing"
+    one_way = obs.take(np.flatnonzero(obs.sense > 0.0))
+    assert {shape["late_of_travel"] for shape in local_laws(one_way)[0].effect.also_tried} == {0.0}
 
 
 @pytest.mark.parametrize(
