@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -19,6 +19,10 @@ from dtwin.schema import Floats
 # As share of a column's sum of squares; less differs between repeats by rounding only.
 _ROUNDING = 1e-18
 _SPANNING = 8
+# Logarithms of shapes: the step that slopes are taken with, and how far from there they are used.
+_STEP, _NEAR = 1e-4, 0.02
+# Columns of so many shapes between those of the grids.
+_MOST_KEPT = 500
 
 
 @dataclass(frozen=True)
@@ -40,20 +44,39 @@ class Condensed:
     between: Floats
     condition_of: Indices
     root: Floats
+    _between_grids: dict[object, Floats] = field(default_factory=dict, repr=False, compare=False)
+    _slopes: dict[object, tuple[Floats, Floats]] = field(default_factory=dict, repr=False, compare=False)
 
     @property
     def residual(self) -> Floats:
         """What the known effects leave, shape (m,)."""
         return np.asarray(self.y - self.basis @ (self.basis.T @ self.y))
 
-    def columns(self, term: Term, *, keep: bool = True) -> Floats:
-        """Return the whitened columns of a term, shape (m, k); ``keep``: it will be asked for again."""
-        made = (
-            self.candidates.harmonics(term)
-            if keep
-            else self.problem.obs.distinct_harmonics(term.instance, term.shape, keep=False)
-        )
-        return self.each([made]).T
+    def columns(self, term: Term) -> Floats:
+        """Return the whitened columns of a term with a shape of the grid, shape (m, k)."""
+        return self.each([self.candidates.harmonics(term)]).T
+
+    def columns_between(self, term: Term) -> Floats:
+        """Return the whitened columns of a term with any shape, shape (m, k); kept until many others were asked for."""
+        key, kept = (term.label, tuple(sorted(term.shape.items()))), self._between_grids
+        if key not in kept:
+            if len(kept) >= _MOST_KEPT:
+                del kept[next(iter(kept))]
+            made = self.problem.obs.distinct_harmonics(term.instance, term.shape, keep=False)
+            kept[key] = self.each([made]).T
+        return kept[key]
+
+    def slope(self, term: Term, name: str) -> Floats:
+        """Return how the columns of a term change with the logarithm of a shape, shape (m, k).
+
+        Of a shape next to it when that was asked for before: slopes change little from there.
+        """
+        key, logs = (term.label, name), np.log([max(value, 1e-300) for _, value in sorted(term.shape.items())])
+        if key not in self._slopes or np.abs(self._slopes[key][0] - logs).max() > _NEAR:
+            moved = replace(term, shape=dict(term.shape) | {name: term.shape[name] * np.exp(_STEP)})
+            made = self.problem.obs.distinct_harmonics(moved.instance, moved.shape, keep=False)
+            self._slopes[key] = logs, (self.each([made]).T - self.columns_between(term)) / _STEP
+        return self._slopes[key][1]
 
     def each(self, made: Sequence[tuple[Floats, Indices]]) -> Floats:
         """Return whitened columns, one after the other, shape (columns, m). ``made``: as ``Candidates.harmonics`` gives them."""

@@ -190,7 +190,7 @@ class Dictionary:
             if columns.shape[1] == 1:
                 values, turned = own[:, :, 0], right[columns]
             else:
-                values, vectors = np.linalg.eigh(own)
+                values, vectors = _of_pairs(own) if columns.shape[1] == 2 else np.linalg.eigh(own)
                 turned = (right[columns][:, None, :] @ vectors)[:, 0, :]
             seen = values > least[:, None]
             out[index] = np.where(seen, turned**2 / np.where(seen, values, 1.0), 0.0).sum(axis=1)
@@ -257,6 +257,15 @@ def _squares(rows: Floats) -> Floats:
 
 def _indices(chosen: Sequence[Entry]) -> _Index:
     return np.concatenate([np.arange(e.columns.start, e.columns.stop) for e in chosen] or [np.empty(0, dtype=int)])
+
+
+def _of_pairs(gram: Floats) -> tuple[Floats, Floats]:
+    """Return eigenvalues, (entries, 2), and eigenvectors of symmetric 2 x 2 matrices: most effects have two numbers."""
+    first, second, across = gram[:, 0, 0], gram[:, 1, 1], gram[:, 0, 1]
+    angle = 0.5 * np.arctan2(2.0 * across, first - second)
+    cos, sin = np.cos(angle), np.sin(angle)
+    mean, half = 0.5 * (first + second), np.hypot(0.5 * (first - second), across)
+    return np.stack([mean + half, mean - half], axis=1), np.stack([[cos, -sin], [sin, cos]]).transpose(2, 0, 1)
 
 
 def _root(gram: Floats, least: float = 0.0) -> Floats:

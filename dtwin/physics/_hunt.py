@@ -75,13 +75,18 @@ class Hunt:
     def run(self, chosen: list[Entry]) -> list[Entry]:
         """Return the best set that is reached from one."""
         start, best, least = chosen, chosen, np.inf
+        settled: set[str] = set()
         for _ in range(_PASSES):
             chosen = self._improved(self._grown(chosen))
             chosen = self._improved(self._refined(chosen))
-            other = self._one_for_two(self._simplified(self._two_replaced(chosen)))
-            other = self._with_one_mode(self._with_one_screw(other))
-            if other is not chosen:
-                chosen = self._improved(self._refined(other))
+            labels = {entry.label for entry in chosen}
+            if labels != settled:
+                other = self._one_for_two(self._simplified(self._two_replaced(chosen)))
+                other = self._with_one_mode(self._with_one_screw(other))
+                if other is chosen:
+                    settled = labels
+                else:
+                    chosen = self._improved(self._refined(other))
             cost = self._cost(chosen)
             if cost >= least - self._per_effect:
                 break

@@ -16,7 +16,6 @@ from dtwin.schema import Floats
 _FEW, _MOST = 8, 60
 _MARGIN = 1e-3
 _ABSENT = 1e-6
-_STEP = 1e-4
 _NEAR_ABSENT = 1e-2
 
 
@@ -76,7 +75,6 @@ class _Projected:
     ) -> None:
         self._campaign, self._terms, self._free, self._parts = campaign, terms, free, parts
         self._residual = campaign.residual
-        self._kept: dict[tuple[int, bytes], Floats] = {}
         self._turned: dict[bytes, Floats] = {}
 
     def left(self, logs: Floats) -> Floats:
@@ -95,34 +93,26 @@ class _Projected:
 
     def _evaluated(self, logs: Floats) -> Floats:
         """Return slopes and, at last, the residual, shape (m, shapes + 1)."""
-        columns, inverse = self._solved(logs)
-        amplitude = inverse @ (columns.T @ self._residual)
-        out, at = np.empty((len(self._residual), len(logs) + 1)), 0
-        for number, part in enumerate(self._parts):
-            now = self._columns(number, logs[part])
-            own, at = amplitude[at : at + now.shape[1]], at + now.shape[1]
-            for i in range(part.start, part.stop):
-                moved = logs.copy()
-                moved[i] += _STEP
-                out[:, i] = (self._columns(number, moved[part]) - now) @ own / -_STEP
-        out[:, :-1] -= columns @ (inverse @ (columns.T @ out[:, :-1]))
-        out[:, -1] = self._residual - columns @ amplitude
-        return out
-
-    def _solved(self, logs: Floats) -> tuple[Floats, Floats]:
-        every = [self._columns(n, logs[part]) for n, part in enumerate(self._parts)]
-        columns: Floats = np.concatenate(every, axis=1)
+        campaign = self._campaign
+        terms = [_at(t, free, logs[part]) for t, free, part in zip(self._terms, self._free, self._parts, strict=True)]
+        every = [campaign.columns_between(term) for term in terms]
+        columns = self._seen(np.concatenate(every, axis=1))
         inverse = np.asarray(np.linalg.pinv(columns.T @ columns, rcond=1e-10, hermitian=True), float)
-        return columns, inverse
+        amplitude = inverse @ (columns.T @ self._residual)
+        own = np.split(amplitude, np.cumsum([made.shape[1] for made in every])[:-1])
+        changes = [
+            campaign.slope(term, shape.name) @ a
+            for term, free, a in zip(terms, self._free, own, strict=True)
+            for shape in free
+        ]
+        slopes = self._seen(np.stack(changes, axis=1))
+        slopes -= columns @ (inverse @ (columns.T @ slopes))
+        return np.column_stack([-slopes, self._residual - columns @ amplitude])
 
-    def _columns(self, number: int, logs: Floats) -> Floats:
-        # The solver changes one shape at a time and comes back.
-        key = number, logs.tobytes()
-        if key not in self._kept:
-            basis = self._campaign.basis
-            columns = self._campaign.columns(_at(self._terms[number], self._free[number], logs), keep=False)
-            self._kept[key] = columns - basis @ (basis.T @ columns)
-        return self._kept[key]
+    def _seen(self, vectors: Floats) -> Floats:
+        """Return vectors without what the known effects could be, shape (m, k)."""
+        basis = self._campaign.basis
+        return np.asarray(vectors - basis @ (basis.T @ vectors))
 
 
 def _at(term: Term, free: Sequence[ShapeParameter], logs: Floats) -> Term:

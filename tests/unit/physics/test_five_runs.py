@@ -257,7 +257,7 @@ def test_repeats_that_differ_by_more_than_their_readings_are_said_to_and_in_what
 def test_what_three_runs_do_not_tell_is_one_thing_all_over_the_answer() -> None:
     grown = 5.0 * np.arange(RUNS)[:, None, None] * SHARE
     celsius = np.array([20.0, 21.0, 20.5, 20.0, 20.0])
-    obs = campaign(grown, np.random.default_rng(8), celsius=celsius)
+    obs = campaign(grown, np.random.default_rng(9), celsius=celsius)
     found = diagnose(obs.take(np.flatnonzero(obs.run_of < 3)), [], LIBRARY)
     assert (found.verdict, found.closest) == ("unknown_effect", "warming_growth X")
     assert found.headline.startswith("warming_growth X may be it, which 3 runs do not tell: ")
