@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -269,6 +270,7 @@ def _concluded(
         untestable={label: why for label, why in hidden.items() if why},
         outlier_runs=tuple(f"{test.campaign} {run}" for test in tests for run in test.found.outlier_runs),
         told=(),
+        places=_places(tests),
         spread=next((f.spread for f in found if f.spread), None),
         next_experiment=next_experiment(unclear.obs, known_of[unclear.campaign], asked, library)
         if unclear and asked
@@ -281,6 +283,12 @@ def _concluded(
         ruled_out=ruled_out,
         of_campaign=where,
     )
+
+
+def _places(tests: Sequence[MachineTest]) -> tuple[Mapping[str, Any], ...]:
+    """Return what happens at one place of an axis that no other campaign along an axis measured: each has its own travel."""
+    alone = Counter(axis for test in tests if test.obs.there_and_back for axis in test.obs.axes)
+    return tuple(place for test in tests for place in test.found.places if alone[place["axis"]] == 1)
 
 
 def _hidden(twin: SeveralTwin, tests: Sequence[MachineTest], library: Mapping[str, Effect]) -> dict[str, str]:

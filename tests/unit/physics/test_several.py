@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from mill_and_laser import circles, laser
@@ -11,11 +13,13 @@ from dtwin.kinds.circular._correction import _other_rows
 from dtwin.machines.mill_parameters import MillParameters
 from dtwin.physics.contradictions import Contradiction, without_contradictions
 from dtwin.physics.diagnose import diagnose
+from dtwin.physics.effect import Instance
 from dtwin.physics.fit import fit
 from dtwin.physics.library import Library
 from dtwin.physics.localise import residual_um
 from dtwin.physics.machine_terms import machine_terms, seen_by
 from dtwin.physics.observations import Observations
+from dtwin.physics.problem import Term
 from dtwin.physics.several import SeveralFit, fit_several
 from dtwin.physics.several_diagnosis import diagnose_several
 from dtwin.physics.several_sizes import covariance_in, sizes_of
@@ -255,6 +259,26 @@ def test_a_name_by_chance_in_one_campaign_is_not_told_where_another_denies_it() 
     said = diagnose_several(twin, campaigns, LIBRARY)
     assert (said.verdict, said.found) == ("nothing_missing", ())
     assert "one campaign alone would name backlash X" in said.headline
+
+
+def test_a_step_at_one_place_is_passed_on_where_one_campaign_alone_measured_the_axis() -> None:
+    plain = laser("X", 30.0, 3.0)
+    stepped = plain.with_y(plain.y_um + 6.0 * (plain.grid.points > 250.0))
+    campaigns = [circles(SCALED), stepped, laser("Y", 0.0, 0.0, 2)]
+    said = diagnose_several(twin_of_all(campaigns), campaigns, LIBRARY)
+    (place,) = said.places
+    assert (place["effect"], place["axis"]) == ("learned_step", "X")
+    learned = Term(Instance(LIBRARY[place["effect"]], "X"), place["shape"])
+    fitted = fit_several(
+        campaigns, [*machine_terms(["lead_error", "backlash:X"], LIBRARY, campaigns), learned], LIBRARY
+    )
+    (lead,) = (e for e in fitted.estimates if (e.effect, e.axis) == ("lead_error", "X"))
+    assert lead.value == pytest.approx(30.0, abs=1.5 * lead.uncertainty)
+    (size,) = (e for e in fitted.fits[1].estimates if e.effect == "learned_step")
+    assert size.value == pytest.approx(6.0, abs=1.5 * size.uncertainty)
+    again = replace(laser("X", 30.0, 3.0, 4), campaign=replace(plain.campaign, name="again"))
+    both = [*campaigns, again]
+    assert diagnose_several(twin_of_all(both), both, LIBRARY).places == ()
 
 
 def test_a_feed_that_is_left_out_is_left_out_of_all_circles() -> None:
