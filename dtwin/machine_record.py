@@ -47,7 +47,7 @@ class MachineRecord:
     """What a user stated of a machine.
 
     ``facts``: some of ``FACTS``.
-    ``axes``: ``travel_mm``, ``pitch_mm`` and the limits ``low_mm`` and ``high_mm`` of an axis, where they are known.
+    ``axes``: ``travel_mm``, ``pitch_mm`` (0 with a linear scale) and the limits ``low_mm`` and ``high_mm`` of an axis, where they are known.
     ``tolerances``: by the symbol of a test sheet, such as ``G(b)`` or ``A``.
     ``events``: in the order of their days.
     ``test_every_days``: longest time between two tests; 0 when none is stated.
@@ -263,8 +263,9 @@ def _axis(value: object, where: str) -> dict[str, float]:
     if not isinstance(value, Mapping) or not set(value) <= set(_AXIS):
         raise _refused(where, str(value)[:60], ", ".join(_AXIS))
     for name, number in value.items():
-        if not is_number(number) or (name in _LENGTHS and number <= 0):
-            raise _refused(f"{where}.{name}", str(number)[:60], "a positive number" if name in _LENGTHS else "a number")
+        if not is_number(number) or (name in _LENGTHS and number < 0) or (name == "travel_mm" and number == 0):
+            allowed = {"travel_mm": "a positive number", "pitch_mm": "mm per turn; 0 for an axis with a linear scale"}
+            raise _refused(f"{where}.{name}", str(number)[:60], allowed.get(name, "a number"))
     known = {name: float(number) for name, number in value.items()}
     if set(_LIMITS) <= set(known) and known["low_mm"] >= known["high_mm"]:
         raise _refused(

@@ -27,7 +27,9 @@ Direction = Annotated[str | None, typer.Option(help="Of such a table: CCW or CW;
 Axis = Annotated[str | None, typer.Option(help="Of a positioning table: the axis, such as X, or C of a rotary one.")]
 Pitch = Annotated[
     float | None,
-    typer.Option(help="Of a positioning table: travel in a turn of the screw, mm; else as the machine's record says."),
+    typer.Option(
+        help="Of a positioning table: travel in a turn of the screw, mm, 0 with a linear scale; else as the machine's record says."
+    ),
 ]
 Instrument = Annotated[
     str | None, typer.Option(help="Of a report with readings of several: which, as the report calls it.")

@@ -94,7 +94,7 @@ def judge_positioning_run(run: Run, scale: Scale = LENGTHS) -> Iterator[Finding]
             {"readings_1": float(constant)},
         )
     pitch = run.meta.condition.get("screw_pitch_mm")
-    if is_number(pitch):
+    if is_number(pitch) and pitch > 0.0:
         yield from _aliased(_targets_of(position), pitch)
 
 

@@ -27,7 +27,7 @@ class LinearTest:
     ``position_mm`` (targets,): targets that were read in both directions in every run, ascending.
     ``forward_um``, ``reverse_um`` (targets, runs): errors.
     ``left_out``: targets that some run missed.
-    ``pitch_mm``: travel in one turn of the screw.
+    ``pitch_mm``: travel in one turn of the screw; 0 on an axis with a linear scale, None where it is not stated.
     ``first``: direction that each run began with; empty where the clock is assumed, or there is none.
     ``ways``: directions of both matrices; twice the same of runs that have one only.
     ``repeats``: what the runs are called; empty where they are counted.

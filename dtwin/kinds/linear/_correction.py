@@ -43,6 +43,7 @@ from dtwin.train.twin_terms import TwinBundle, carried, traced_columns, weighted
 from dtwin.twins.correct import LITTLE, NAME, Judged
 from dtwin.twins.path_way import BY_SHAPE, MEAN_IS_TOLD, TwinWay
 from dtwin.twins.seen import Seen
+from dtwin.units import is_number
 
 _FEWEST_RUNS = 2
 
@@ -198,20 +199,26 @@ def _reach_mm(obs: Observations) -> tuple[float, float]:
 
 
 def _pitch_mm(obs: Observations) -> float:
-    """Return the travel in one turn of the screw."""
+    """Return the travel in one turn of the screw; 0 where the axis is measured by a linear scale."""
     told = obs.campaign.machine_geometry.get(PITCH)
-    pitch = float(told) if isinstance(told, int | float) else 0.0
+    pitch = float(told) if is_number(told) else 0.0
+    if is_number(told) and pitch == 0.0:
+        return pitch
     phases = phases_of(obs.grid.points, pitch) if pitch > 0.0 else 0
     if phases < FEWEST_PHASES:
+        state = f"dtwin amend {obs.campaign.name} --because REASON --set machine_geometry.{PITCH}"
         raise InputError(
             "the targets do not show the screw",
             code="lathe.targets",
             where=obs.campaign.name,
             got=f"{phases} angles of the screw" if phases else f"no {PITCH}",
             allowed=f"{PITCH} under [campaign.machine_geometry], and at least {FEWEST_PHASES} angles",
-            hint="a step that does not divide the pitch: dtwin plan says what a step can show"
-            if phases
-            else f'dtwin amend {obs.campaign.name} --set machine_geometry.{PITCH}=10 --because "read off the screw"',
+            hint=(
+                "a step that does not divide the pitch: dtwin plan says what a step can show"
+                if phases
+                else f"{state}=10"
+            )
+            + f"; where a linear scale measures the axis: {state}=0",
         )
     return pitch
 

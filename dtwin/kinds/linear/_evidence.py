@@ -96,7 +96,7 @@ def _run_of_test(test: LinearTest, axis: str, day: int, correction: str = "") ->
 def evidence_plan(reach_mm: tuple[float, float], pitch_mm: float, machine: str, axis: str = "Z") -> LinearPlan:
     """Return a test, in inches as the virtual lathe's, over the mapped travel, whose step meets the screw at many angles.
 
-    ``pitch_mm``: travel in one turn of the screw.
+    ``pitch_mm``: travel in one turn of the screw; 0 where a linear scale measures the axis.
     """
     low, high = (round(end / MM_PER_IN, 4) for end in reach_mm)
     span = round(high - low, 4)
@@ -113,7 +113,7 @@ def evidence_plan(reach_mm: tuple[float, float], pitch_mm: float, machine: str, 
         axis_high=high + 1.0,
         pitch=pitch_mm / MM_PER_IN,
     )
-    step = better_step(head, span / 8.0) or head.step
+    step = (better_step(head, span / 8.0) if pitch_mm else None) or head.step
     return replace(head, step=step, window=min(head.window, step / 4.0))
 
 

@@ -68,12 +68,12 @@ def along(bundle: Bundle, position_mm: Floats) -> Floats:
 def positioning_gates(bundle: Bundle, pitch_mm: float, reach_mm: tuple[float, float]) -> list[Verdict]:
     """Judge the equation of a positioning error by everything that needs no machine.
 
-    ``pitch_mm``: travel in one turn of the screw.
+    ``pitch_mm``: travel in one turn of the screw; without one, 0, there are no seams.
     """
     places = np.linspace(reach_mm[0] + 0.3 * pitch_mm, reach_mm[1] - 0.3 * pitch_mm, _PLACES)
     answers = _PathAnswers(bundle)
     return [
-        _seam(answers, pitch_mm, reach_mm),
+        *([_seam(answers, pitch_mm, reach_mm)] if pitch_mm else []),
         _outside(answers, reach_mm),
         _reversal(answers, places),
         _standstill(answers, places),
@@ -89,7 +89,7 @@ def registered_positioning_gates(bundle: Bundle, metrics: Mapping[str, float]) -
     share, rms, table, worst = (metrics.get(name, float("nan")) for name in _LOGGED)
     shape = (
         positioning_gates(bundle, pitch_mm, (reach_mm[0], reach_mm[1]))
-        if pitch_mm > 0.0 and reach_mm[0] < reach_mm[1]
+        if pitch_mm >= 0.0 and reach_mm[0] < reach_mm[1]
         else [Verdict("the screw is known", False, "training logged no pitch or no mapped travel")]
     )
     return [

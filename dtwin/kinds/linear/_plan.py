@@ -40,7 +40,7 @@ class LinearPlan:
     ``feed_min``: feed in ``unit`` a minute.
     ``overshoot``: how far the axis goes beyond both ends before it turns.
     ``axis_low``, ``axis_high``: travel limits of the axis.
-    ``pitch``: travel in one turn of the screw; 0 when unknown.
+    ``pitch``: travel in one turn of the screw; 0 when unknown, or where a linear scale measures the axis.
     ``laser_dwell_s``, ``window``: of the laser's own trigger: it reads when the axis has been within ``window`` of the
     next target for ``laser_dwell_s``.
     """
@@ -222,9 +222,7 @@ def _pitch_advice(plan: LinearPlan) -> list[Finding]:
     if plan.pitch <= 0.0:
         return [
             Finding(
-                "plan.pitch_unknown",
-                "info",
-                "the pitch of the screw is not stated: nothing can be said about its cyclic error",
+                "plan.pitch_unknown", "info", "no pitch of a screw is stated: nothing can be said about a cyclic error"
             )
         ]
     span, unit, findings = plan.end - plan.start, plan.unit, []

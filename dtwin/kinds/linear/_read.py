@@ -75,14 +75,14 @@ def with_pitch(run: Run, campaign: Campaign) -> Run:
 
 
 def require_pitch(pitch: object, where: str) -> None:
-    """Refuse a pitch that is no length; None is not stated."""
-    if pitch is not None and not (is_number(pitch) and 0.0 < pitch < 1000.0):
+    """Refuse a pitch that is no length; None is not stated, and 0 says that a linear scale measures the axis, not the turn of a screw."""
+    if pitch is not None and not (is_number(pitch) and 0.0 <= pitch < 1000.0):
         raise InputError(
             "the screw's pitch is no length",
             code="linear.pitch",
             where=where,
             got=str(pitch)[:40],
-            allowed="mm per turn, above 0",
+            allowed="mm per turn; 0 for an axis with a linear scale",
         )
 
 

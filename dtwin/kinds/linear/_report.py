@@ -45,7 +45,7 @@ def _cyclic_um(test: LinearTest) -> float | None:
 
     Harmonics of the screw's turn and a cubic trend are fitted to the averages of each direction.
     """
-    if test.pitch_mm is None:
+    if not test.pitch_mm:
         return None
     phases = phases_of(test.position_mm, test.pitch_mm)
     harmonics = min(_MAX_HARMONIC, (phases - 1) // 2)
@@ -82,7 +82,7 @@ def _figures_of(test: LinearTest) -> dict[str, Any]:
         "from_mm": float(test.position_mm[0]),
         "to_mm": float(test.position_mm[-1]),
         "screw_pitch_mm": test.pitch_mm,
-        "screw_phases": None if test.pitch_mm is None else phases_of(test.position_mm, test.pitch_mm),
+        "screw_phases": phases_of(test.position_mm, test.pitch_mm) if test.pitch_mm else None,
         "before_after": before_after_figures(test),
     }
     if runs > 1:
@@ -138,6 +138,8 @@ def before_after_lines(figures: Mapping[str, Mapping[str, float | None]]) -> lis
 
 
 def _phases(result: Mapping[str, Any]) -> str:
+    if result["screw_pitch_mm"] == 0.0:
+        return "; measured by a linear scale"
     if result["screw_phases"] is None:
         return "; the pitch of the screw is not stated (screw_pitch_mm)"
     count = result["screw_phases"]

@@ -56,7 +56,7 @@ class Screw:
 
 def screw_of(test: LinearTest, where: str) -> Screw:
     """Return what a test shows of the screw."""
-    if test.pitch_mm is None or len(test.position_mm) < 2:
+    if not test.pitch_mm or len(test.position_mm) < 2:
         raise InputError(
             "the pitch of the screw is needed",
             code="lathe.pitch",

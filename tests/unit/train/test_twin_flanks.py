@@ -13,7 +13,7 @@ import pytest
 from dtwin.acquire.campaign_folder import open_campaign
 from dtwin.errors import InputError
 from dtwin.kinds.linear._correction import _Flanks, _pitch_mm, _reach_mm, _test_of_runs, flanks_twin_bundle
-from dtwin.kinds.linear._gates import along, positioning_gates
+from dtwin.kinds.linear._gates import along, positioning_gates, registered_positioning_gates, screw_metrics
 from dtwin.kinds.linear._plan import linear_plan
 from dtwin.kinds.linear._simulate import simulate_lathe, virtual_lathe
 from dtwin.physics.effect import Effect, Instance, Law, Parameter
@@ -164,6 +164,15 @@ def test_runs_that_do_not_show_play_or_screw_are_refused(worn: Observations, tmp
     coarse = measured(tmp_path / "coarse", step=0.5, end=31)
     with pytest.raises(InputError, match="do not show the screw"):
         flanks_twin_bundle(twin_from(fit(coarse, lead), coarse), coarse)
+    # A linear scale measures the axis: there is no screw that targets would have to show, and no seam at its turns.
+    scaled = replace(coarse, campaign=replace(coarse.campaign, machine_geometry={"screw_pitch_mm": 0}))
+    both = [*lead, *chosen_terms(["backlash"], LIBRARY, scaled)]
+    bundle = flanks_twin_bundle(twin_from(fit(scaled, both), scaled), scaled).bundle
+    ends = screw_metrics(_pitch_mm(scaled), _reach_mm(scaled))
+    gates = {v.gate: v.passed for v in registered_positioning_gates(bundle, ends)}
+    assert gates["ends held outside of the mapped travel"]
+    assert gates["no step at reversal"]
+    assert not any("screw" in name for name in gates)
 
 
 def test_a_correction_is_not_judged_by_one_run(worn: Observations) -> None:
