@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 
 import numpy as np
@@ -30,20 +31,33 @@ def nameless(problem: Problem, candidates: Candidates, believed: Sequence[Term])
     ``problem``: whitened campaign with what the twin knows.
     ``believed``: effects that were found without laws; they stay in the set.
     """
-    laws = _laws(candidates)
-    plain = [candidates.whitened(problem, Term(i)) for i in candidates.instances if not i.effect.shapes]
-    # A twin may know all of them already.
-    made = orthonormal(_unit(np.concatenate([np.empty((problem.y.size, 0)), *plain], axis=1)))
-    offered = []
-    for law in laws:
-        columns = _unit(candidates.whitened(problem, law))
-        if (squares(columns - made @ (made.T @ columns)) > INVISIBLE).any():
-            offered.append(law.instance)
+    offered = _offered(problem, candidates)
     have = {term.label for term in believed}
     rest = [i for i in candidates.instances if i.label not in have]
     beside = candidates.given(problem, believed)
     chosen = Hunt(beside, Dictionary(beside, candidates.only([*rest, *offered]))).run([])
     return [entry.term for entry in chosen if entry.term.instance in offered]
+
+
+def simpler_law(problem: Problem, candidates: Candidates, found: Sequence[Term]) -> tuple[list[Term], list[Term]]:
+    """Return the law that in place of one or two effects leaves less with fewer numbers, and the other effects; nothing where none does.
+
+    ``problem``: whitened campaign with what the twin knows.
+    """
+    laws = Dictionary(problem, candidates.only(_offered(problem, candidates)))
+    many = len(laws.entries)
+    chosen = laws.add(found)
+    all_explain, best = laws.explained(chosen), None
+    for dropped in itertools.chain.from_iterable(itertools.combinations(chosen, n) for n in (1, 2)):
+        rest = [entry for entry in chosen if entry not in dropped]
+        gains = np.where(
+            [e.free < sum(d.free for d in dropped) for e in laws.entries[:many]], laws.gains(rest)[:many], 0.0
+        )
+        number = int(np.argmax(gains))
+        explain = laws.explained(rest) + float(gains[number])
+        if explain > all_explain:
+            all_explain, best = explain, (laws.entries[number], rest)
+    return ([], []) if best is None else ([best[0].term], [entry.term for entry in best[1]])
 
 
 def local(problem: Problem, candidates: Candidates) -> list[Term]:
@@ -65,6 +79,19 @@ def local(problem: Problem, candidates: Candidates) -> list[Term]:
     more = sum(entry.free for entry in chosen) - sum(entry.free for entry in without)
     simpler = more < 0 and hunt.leaves_noise(chosen)
     return laws if simpler or (more <= 1 and hunt.left(chosen) < _CLEARLY * alone.left(without)) else []
+
+
+def _offered(problem: Problem, candidates: Candidates) -> list[Instance]:
+    """Return the laws without those that effects of the library without shapes make together."""
+    plain = [candidates.whitened(problem, Term(i)) for i in candidates.instances if not i.effect.shapes]
+    # A twin may know all of them already.
+    made = orthonormal(_unit(np.concatenate([np.empty((problem.y.size, 0)), *plain], axis=1)))
+    offered = []
+    for law in _laws(candidates):
+        columns = _unit(candidates.whitened(problem, law))
+        if (squares(columns - made @ (made.T @ columns)) > INVISIBLE).any():
+            offered.append(law.instance)
+    return offered
 
 
 def _laws(candidates: Candidates) -> list[Term]:

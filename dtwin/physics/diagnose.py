@@ -35,7 +35,7 @@ from dtwin.physics._law_search import search_laws
 from dtwin.physics._local_laws import laws_in_words
 from dtwin.physics._material import IMMATERIAL
 from dtwin.physics._measured_once import as_if_repeated
-from dtwin.physics._nameless import local, nameless
+from dtwin.physics._nameless import local, nameless, simpler_law
 from dtwin.physics._outliers import odd_of_two, odd_runs
 from dtwin.physics._parity import Curve, curves_left, joined
 from dtwin.physics._screen import Channel, screen_channels
@@ -119,17 +119,23 @@ def diagnose(obs: Observations, known: Sequence[Term], library: Mapping[str, Eff
         other = concluded(found, first, places)
         return other if other.found else concluded(first, first, places, none=True)
     left = answer.unresolved
-    if left is None or left.share < _UNKNOWN**2:
-        return answer
+    much = left is not None and left.share >= _UNKNOWN**2
     plain = unweighted(obs, known)
-    beside_curves = [searched(problem, known, curve=curve) for curve in curves_left(answer, first, plain, candidates)]
+    curves = curves_left(answer, first, plain, candidates) if much else []
+    beside_curves = [searched(problem, known, curve=curve) for curve in curves]
     if beside_curves:
         others = [concluded(other, first) for other in beside_curves]
         return joined(answer, others, [first, *beside_curves], plain, candidates)
     if not answer.found or not _has_laws(obs):
         return answer
     believed = frozenset(group[0].label for group in answer.found)
-    unknown = nameless(problem, candidates, [f.top.term for f in first.found if f.label in believed])
+    tops = [f.top.term for f in first.found]
+    simpler, rest = simpler_law(problem, candidates, tops)
+    unknown = simpler
+    if simpler:
+        believed &= {term.label for term in rest}
+    elif much:
+        unknown = nameless(problem, candidates, [term for term in tops if term.label in believed])
     if not unknown:
         return answer
     beside_them = [*known, *unknown]
@@ -139,7 +145,7 @@ def diagnose(obs: Observations, known: Sequence[Term], library: Mapping[str, Eff
         return other
     # One law without a name that leaves nothing is better than effects that leave much, and are not seen beside it.
     explains_all = len(unknown) == 1 and not found.found and found.lack_of_fit[0] > _FIT_IS_DOUBTFUL
-    return concluded(first, first, none=True) if explains_all else answer
+    return concluded(first, first, none=True) if simpler or explains_all else answer
 
 
 def _has_laws(obs: Observations) -> bool:

@@ -224,6 +224,17 @@ def test_what_is_unknown_stands_beside_what_was_found() -> None:
     assert "harmonic 7" in found.unresolved.words
 
 
+def test_one_law_without_a_name_is_no_friction_of_two_axes_and_takes_no_other_name_away() -> None:
+    def oval(moment: Moment) -> Floats:
+        return np.asarray((1.2 if moment.test.direction == "CCW" else -1.2) * np.sin(2 * moment.angle_rad))
+
+    mill = VirtualMill(SOUND.with_axis("X", play_um=2.0), seed=0, noise=NoiseParameters(rms_um=0.5), disturbance=oval)
+    found = diagnose(observed(measured(mill)), [], LIBRARY)
+    assert {group[0].label for group in found.found} == {"squareness XY", "scale_mismatch XY", "backlash X"}
+    assert found.unresolved is not None
+    assert found.unresolved.words.startswith("odd in direction")
+
+
 def test_a_wobble_that_no_effect_describes_is_called_unknown() -> None:
     # As docs/tutorials/missing-effect.md has it: a shape of a guideway and its bow would make up for each other.
     found = verdict(measured(virtual_mill("wobble", seed=0)))
