@@ -5,7 +5,7 @@ from __future__ import annotations
 import codecs
 import csv
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from itertools import takewhile, zip_longest
 
 STATISTICS = r"avg|average|mean|std|stdev|sigma|range|mittel\w*|spannweite|streuung|moyenne|media|promedio|平均"
@@ -106,12 +106,14 @@ def rows_of(text: str, decimal: str = "") -> list[list[str]]:
     mark = _typed_mark(lines)
     aligned = _aligned_rows(lines, mark)
     try:
-        # What is longer is a remark: heads are looked through for many words.
-        rows = [[cell[:_LONGEST_CELL] for cell in row] for row in aligned or csv.reader(lines, delimiter=mark)]
+        rows = aligned or list(csv.reader(lines, delimiter=mark))
     except csv.Error:
         return []
+    if len(rows) < len(lines) or max(map(len, lines), default=0) > _LONGEST_CELL:
+        # What is longer is a remark, perhaps of several lines: heads are looked through for many words.
+        rows = [[cell[:_LONGEST_CELL] for cell in row] for row in rows]
     mark = " " if aligned else mark
-    rows = [row for row in rows if any(cell.strip() for cell in row)]
+    rows = [row for row in rows if any(map(str.strip, row))]
     if _TYPESET.search(text):
         # Of a lone cell a blank may part columns.
         rows = [[typed(cell) for cell in row] if len(row) > 1 else row for row in rows]
@@ -126,11 +128,15 @@ def rows_of(text: str, decimal: str = "") -> list[list[str]]:
 
 def _quoted_commas(rows: list[list[str]]) -> bool:
     """Return whether numbers among commas hold decimal commas, and none a point."""
-    cells = [cell.strip() for row in rows for cell in row if "," in cell or "." in cell]
-    commas = (cell for cell in cells if "," in cell and _NUMBER.fullmatch(cell))
+    commas = (cell for cell in _having(",", rows) if _NUMBER.fullmatch(cell))
     if all(map(_WHOLE["point"].fullmatch, commas)):
         return False
-    return not any("." in cell and _NUMBER.fullmatch(cell) for cell in cells)
+    return not any(map(_NUMBER.fullmatch, _having(".", rows)))
+
+
+def _having(sign: str, rows: list[list[str]]) -> Iterator[str]:
+    """Return the cells that have a sign: most tables have it in no cell, or tell by the first ones what is asked."""
+    return (cell.strip() for row in rows for cell in row if sign in cell)
 
 
 def typed(cell: str) -> str:
@@ -148,20 +154,22 @@ def _grouped(rows: list[list[str]]) -> str:
     ``1.234,5`` and ``1,234.5`` tell it alone. So do ``1.200`` in a column with ``800`` where no point stands elsewhere, and ``2.000`` and
     ``4.500``, where the table writes decimals by the other sign, too.
     """
-    # Most tables have neither sign in most cells.
-    having = {sign: [cell.strip() for row in rows for cell in row if sign in cell] for sign in ",."}
-    told = {sign for sign, form in _GROUPS.items() if any(map(form.fullmatch, having[","]))}
+    told = {sign for cell in _having(",", rows) for sign, form in _GROUPS.items() if form.fullmatch(cell)}
     if told:
         sign = told.pop()
         # A number such as 20.5 beside 1.234,5 says that the other sign parts decimals, too.
         other = "." if sign == "comma" else ","
-        both = any(_SIMPLE.fullmatch(cell) and not _WHOLE[sign].fullmatch(cell) for cell in having[other])
+        both = any(_SIMPLE.fullmatch(cell) and not _WHOLE[sign].fullmatch(cell) for cell in _having(other, rows))
         return "" if told or both else sign
     for sign, form in _WHOLE.items():
         mark, other = (",", ".") if sign == "comma" else (".", ",")
-        parted = [cell for cell in having[other] if form.fullmatch(cell)]
-        if parted and not any(_NUMBER.fullmatch(cell) and not form.fullmatch(cell) for cell in having[other]):
-            decimals = any(_NUMBER.fullmatch(cell) and not _WHOLE_EITHER.fullmatch(cell) for cell in having[mark])
+        if any(_NUMBER.fullmatch(cell) and not form.fullmatch(cell) for cell in _having(other, rows)):
+            continue
+        parted = [cell for cell in _having(other, rows) if form.fullmatch(cell)]
+        if parted:
+            decimals = any(
+                _NUMBER.fullmatch(cell) and not _WHOLE_EITHER.fullmatch(cell) for cell in _having(mark, rows)
+            )
             columns = (list(map(str.strip, column)) for column in zip_longest(*rows, fillvalue=""))
             among = any(
                 any(map(form.fullmatch, column)) and any(map(_HUNDREDS.fullmatch, column)) for column in columns

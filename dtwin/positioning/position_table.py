@@ -20,6 +20,7 @@ import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -99,8 +100,14 @@ def axis_turns(path: Path) -> bool | None:
     """Return whether a file that looks like one of the forms is of an axis that turns; None of any other file."""
     if path.suffix.lower() not in (*SUFFIXES, _CONSOLE) or not path.is_file():
         return None
-    text = first_text(path, _MAX_BYTES)
-    if path.suffix.lower() == _CONSOLE:
+    return _turns(first_text(path, _MAX_BYTES), path.suffix.lower() == _CONSOLE)
+
+
+# Several kinds ask of the same file.
+@lru_cache(4)
+def _turns(text: str, console: bool) -> bool | None:
+    """Return what ``axis_turns`` does of a text; ``console``: what was written along with a probing."""
+    if console:
         return False if probings_of(text) else None
     if is_assigned(text):
         return assigned_unit(text) in ANGLES_DEG

@@ -61,6 +61,7 @@ FROM_SIGN = re.compile(
 )
 """The side from which a target was approached, or the direction: nobody knows which."""
 SIGNS = {"+": "forward", "↑": "forward", "-": "reverse", "\u2212": "reverse", "↓": "reverse"}
+_DIGITS = re.compile(r"[+\-\u2212]?[\d.,]+")
 
 
 def way_of(text: str, *, ones: bool = False) -> str | None:
@@ -68,9 +69,12 @@ def way_of(text: str, *, ones: bool = False) -> str | None:
 
     ``ones``: a bare 1 is forward, as beside -1.
     """
+    told = "+1" if ones and text.strip() == "1" else text.strip().lower()
+    if _DIGITS.fullmatch(told):
+        # Of a table on its side most heads are numbers.
+        return SIGNS.get(told[:1])
     if FROM_SIGN.search(text):
         return None
-    told = "+1" if ones and text.strip() == "1" else text.strip().lower()
     words = set(re.findall(r"[^\W\d_]+", told))
     named = {way for way, known in _WORDS.items() if words & known}
     sides = {"forward" if side in ("below", "unten") else "reverse" for side in map("".join, _FROM.findall(told))}

@@ -15,6 +15,7 @@ from jinja2 import Environment
 from plotly.offline import get_plotlyjs
 
 from dtwin.report.language import Language
+from dtwin.report.plots import give_look
 
 # Plotly's own button would upload the chart to its cloud.
 _CONFIG = {
@@ -131,7 +132,10 @@ def page(title: str, subtitle: str, sections: Sequence[Section], words: Language
 
 def told_figure(figure: go.Figure, tell: Callable[[str], str], point: str = ".") -> go.Figure:
     """Return a figure whose title, axes, names and notes are translated by ``tell``, and with that decimal point."""
-    told = go.Figure(figure).update_layout(separators=",." if point == "," else ".,")
+    layout = figure.layout.to_plotly_json()
+    layout.pop("template", None)
+    told = go.Figure(figure.data, layout).update_layout(separators=",." if point == "," else ".,")
+    give_look(told)
     told.update_layout(title_text=tell(told.layout.title.text or ""))
     told.for_each_trace(lambda trace: trace.update(name=trace.name and tell(trace.name)))
     told.for_each_annotation(lambda note: note.update(text=tell(note.text or "")))
@@ -148,7 +152,7 @@ def told_figure(figure: go.Figure, tell: Callable[[str], str], point: str = ".")
 
 def figure_html(figure: go.Figure) -> str:
     """Return a figure for a page that ends with :func:`drawing`."""
-    told = json.dumps({**json.loads(pio.to_json(figure)), "config": _CONFIG}).replace("<", "\\u003c")
+    told = f'{pio.to_json(figure, validate=False)[:-1]},"config":{json.dumps(_CONFIG)}}}'.replace("<", "\\u003c")
     return f'<div><script type="application/vnd.plotly.v1+json">{told}</script></div>'
 
 

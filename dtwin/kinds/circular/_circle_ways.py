@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from functools import lru_cache
-from itertools import pairwise
+from itertools import chain, pairwise
 from pathlib import Path
 
 import numpy as np
@@ -125,10 +125,15 @@ def direction_column(columns: Sequence[Column], body: Sequence[Sequence[str]]) -
     if named is not None:
         return named
     for i, column in enumerate(columns):
-        cells = {row[i].strip().lower() for row in body if i < len(row)} - {""}
-        if not column.unit and cells and all(way_of(cell) and not _SIDES.search(cell) for cell in cells):
+        cells = (cell for row in body if i < len(row) and (cell := row[i].strip().lower()))
+        # The first cell tells of most columns that they are none.
+        if not column.unit and (first := next(cells, "")) and all(map(_tells_way, chain((first,), cells))):
             return i
     return None
+
+
+def _tells_way(cell: str) -> bool:
+    return way_of(cell) is not None and not _SIDES.search(cell)
 
 
 def require_ways(columns: Sequence[Column], body: Sequence[Sequence[str]], path: Path) -> None:
