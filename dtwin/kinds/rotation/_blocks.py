@@ -36,14 +36,15 @@ def below_speeds(rows: Sequence[Sequence[str]]) -> list[Sequence[str]]:
         told = [cell.strip() for cell in row if cell.strip()]
         said = " ".join(told)
         title = _SPEED_TITLE.fullmatch(said) if len(said) <= _LONGEST_TITLE else None
+        if title is None and not speed:
+            above.append(row)
+            continue
         words = not any(number_or_none(cell) is not None for cell in told)
         if title is not None:
             number, unit = title[4], title[5]
             # No speed is told to a thousandth of a turn.
             number = re.sub(r"[.,]", "", number) if _GROUPED.fullmatch(number) else number
             speed = f"{column_of('speed', unit).factor * float(number):g}"
-        elif not speed:
-            above.append(row)
         elif not table:
             table = [[*row, "speed [rpm]"]] if words and len(told) > 1 else []
         elif len(table) == 1 and all_units(row):

@@ -7,6 +7,7 @@ autocorrelation of the residual leaves.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -90,14 +91,16 @@ def fit_thermal(
             chosen = order[:count]
             fitted = _remembering(motion, rise_c[:, chosen]) if remembers else (0.0, left[count - 1], None)
             tried.append((chosen, *fitted))
+    leaves = np.array([left for _, _, left, _ in tried])
+    power = np.einsum("ij,ij->i", leaves, leaves)
     # One number for all, or the criteria could not be compared.
-    n = float(np.median([independent(left) for _, _, left, _ in tried]))
+    n = float(np.median(_independent(leaves)))
     free = [len(chosen) + (memory > 0.0) for chosen, memory, _, _ in tried]
-    criteria = [_criterion(left, count, n) for (_, _, left, _), count in zip(tried, free, strict=True)]
+    levels = (power / leaves.shape[1]).tolist()
+    criteria = [_criterion(level, count, n) for level, count in zip(levels, free, strict=True)]
     liked = min(range(len(tried)), key=lambda i: criteria[i])
-    enough = _AS_GOOD * float(np.linalg.norm(tried[liked][2]))
     # A sensor more must be worth its wire: the smallest model that leaves hardly more.
-    good = [i for i, (_, _, left, _) in enumerate(tried) if np.linalg.norm(left) <= enough]
+    good = np.flatnonzero(power <= _AS_GOOD**2 * power[liked]).tolist()
     best = min(good, key=lambda i: (free[i], criteria[i]))
     chosen, memory, _, per_k = tried[best]
     return ThermalModel(
@@ -112,12 +115,16 @@ def fit_thermal(
 
 def independent(values: Floats) -> float:
     """Return how many independent values a series stands for, by its lag-one correlation."""
-    centred = values - values.mean()
-    power = float(centred @ centred)
-    if power <= 0.0:
-        return float(len(values))
-    lag = min(max(float(centred[1:] @ centred[:-1]) / power, 0.0), 0.98)
-    return max(4.0, len(values) * (1.0 - lag) / (1.0 + lag))
+    return float(_independent(values[None])[0])
+
+
+def _independent(rows: Floats) -> Floats:
+    n = rows.shape[1]
+    centred = rows - rows.mean(axis=1, keepdims=True)
+    power = np.einsum("ij,ij->i", centred, centred)
+    along = np.einsum("ij,ij->i", centred[:, 1:], centred[:, :-1])
+    lag = np.clip(np.divide(along, power, out=np.zeros_like(power), where=power > 0.0), 0.0, 0.98)
+    return np.where(power > 0.0, np.maximum(4.0, n * (1.0 - lag) / (1.0 + lag)), n)
 
 
 def inflation(rise_c: Floats) -> Floats:
@@ -140,12 +147,13 @@ def _order(motion: Floats, rise_c: Floats, most: int, *, remembers: bool) -> tup
     chosen: list[int] = []
     leaves: list[Floats] = []
     for _ in range(most):
-        size = (rest**2).sum(axis=0)
+        size = np.einsum("ij,ij->j", rest, rest)
         gain = np.where(size > 1e-9, (left @ rest) ** 2 / np.maximum(size, 1e-9), -1.0)
         gain[chosen] = -1.0
         chosen.append(int(np.argmax(gain)))
         unit = rest[:, chosen[-1]] / max(float(np.sqrt(size[chosen[-1]])), 1e-9)
-        left, rest = left - unit * (unit @ left), rest - np.outer(unit, unit @ rest)
+        left = left - unit * (unit @ left)
+        rest -= unit[:, None] * (unit @ rest)
         leaves.append(left)
     return chosen, leaves
 
@@ -163,9 +171,8 @@ def _least_squares(columns: Floats, values: Floats) -> Floats:
     return np.asarray(np.linalg.lstsq(columns, values, rcond=None)[0], dtype=np.float64)
 
 
-def _criterion(left: Floats, free: int, n: float) -> float:
-    """Return Schwarz's criterion with the small-sample correction, over n independent cycles."""
+def _criterion(level: float, free: int, n: float) -> float:
+    """Return Schwarz's criterion with the small-sample correction, over n independent cycles; ``level``: mean square that is left."""
     if n <= free + 2:
-        return float("inf")
-    level = max(float((left**2).mean()), 1e-12)
-    return float(n * np.log(level) + free * np.log(n) * n / (n - free - 2))
+        return math.inf
+    return n * math.log(max(level, 1e-12)) + free * math.log(n) * n / (n - free - 2)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 import pytest
 import scipy
@@ -10,10 +12,22 @@ from dtwin.physics.diagnose import diagnose
 from dtwin.physics.diagnosis import Diagnosis
 from dtwin.physics.library import Library
 from dtwin.physics.observations import observe
-from dtwin.schema import Campaign, Run, RunMeta
+from dtwin.schema import Campaign, Floats, Run, RunMeta
 
 LIBRARY = Library()
 FINER = 5
+
+
+@cache
+def _answered(
+    numerator: tuple[float, ...], denominator: tuple[float, ...], frequency_hz: float
+) -> tuple[Floats, Floats, Floats]:
+    """Return the time, a tone of one micrometre, and the answer to it."""
+    # A solver that draws the command as straight lines between 80 points loses 0.05 % of it, which diagnosis finds.
+    every_s = np.arange(8 * 80 * FINER) / (80.0 * FINER * frequency_hz)
+    wanted = np.sin(2.0 * np.pi * frequency_hz * every_s)
+    _, answer, _ = scipy.signal.lsim((numerator, denominator), wanted, every_s)
+    return every_s[::FINER], wanted[::FINER], answer[::FINER]
 
 
 def named(
@@ -28,13 +42,9 @@ def named(
     runs: list[Run] = []
     for repeat in (1, 2, 3):
         for frequency_hz in frequencies_hz:
-            # A solver that draws the command as straight lines between 80 points loses 0.05 % of it, which diagnosis finds.
-            every_s = np.arange(8 * 80 * FINER) / (80.0 * FINER * frequency_hz)
-            t_s = every_s[::FINER]
+            t_s, of_command, of_tool = _answered(tuple(numerator), tuple(denominator), frequency_hz)
             for amplitude_um in amplitudes_um:
-                wanted = amplitude_um * np.sin(2.0 * np.pi * frequency_hz * every_s)
-                _, answer, _ = scipy.signal.lsim((numerator, denominator), wanted, every_s)
-                command, tool = wanted[::FINER], answer[::FINER]
+                command, tool = amplitude_um * of_command, amplitude_um * of_tool
                 wander = 1.0 + 0.002 * rng.standard_normal()
                 read = command + wander * (tool - command) + noise_um * rng.standard_normal(len(t_s))
                 stated: dict[str, float | str] = {
