@@ -43,6 +43,8 @@ settings.load_profile("any computer")
 
 # These look at servers that take half a minute to start: one worker, one start.
 _SHARE_SERVERS = ("test_flows", "test_pages", "test_cell_flow", "test_dynamics_flow", "test_up")
+# These share a browser.
+_SHARE_BROWSER = ("test_ui", "test_ui_models", "test_ui_live", "test_ui_measuring", "test_ui_axe")
 # These look for a twin's versions in MLflow: to tell it takes a third of a second a version, and more in a new home.
 _LOOK_AT_MLFLOW = ("test_twins", "test_heat_twins", "test_ui_kinds", "test_home_moving")
 # Begun in this order, so that no worker is left alone with minutes of work at the end.
@@ -60,14 +62,13 @@ _SLOWEST_FIRST = (
     "test_machine_campaign",
     "test_benchmarks",
     "test_freezes",
-    "test_ui",
+    *_SHARE_BROWSER,
     "test_diagnose",
     "test_twin_correction",
     "test_readme",
     "test_twins",
     "test_tutorials",
     "test_examples",
-    "test_ui_models",
     "test_flow_run",
     "test_robot_faults",
     "test_loop",
@@ -108,7 +109,8 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
     class ByFile(LoadScopeScheduling):
         def _split_scope(self, nodeid: str) -> str:
             file = Path(nodeid.partition("::")[0]).stem
-            return "servers" if file in _SHARE_SERVERS else file
+            shared = {"servers": _SHARE_SERVERS, "browser": _SHARE_BROWSER}
+            return next((name for name, files in shared.items() if file in files), file)
 
     return ByFile(config, log)
 

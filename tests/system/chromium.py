@@ -1,11 +1,12 @@
-"""How the tests start a browser: as root, and calling nobody."""
+"""How the tests start a browser: as root, and calling nobody; as a plugin of test modules, one browser that they share."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from functools import partial
 
+import pytest
 from conftest import require_program
 from playwright.sync_api import Browser, sync_playwright
 
@@ -38,6 +39,26 @@ _FLAGS = [
     "--disable-component-update",
     "--disable-sync",
 ]
+_running = ExitStack()
+_shared: list[Browser] = []
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    """The browser of all modules that name this one as a plugin: each start takes four seconds of a processor."""
+    if not _shared:
+        _shared.append(_running.enter_context(chromium()))
+    yield _shared[0]
+    for context in _shared[0].contexts:
+        context.close()
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_runtest_teardown(nextitem: pytest.Item | None) -> None:
+    """Close the browser when the next test is of a module that does not share it."""
+    if nextitem is None or __name__ not in getattr(getattr(nextitem, "module", None), "pytest_plugins", ()):
+        _shared.clear()
+        _running.close()
 
 
 @contextmanager

@@ -15,7 +15,6 @@ from pathlib import Path
 
 import pytest
 from axe_playwright_python.sync_playwright import Axe
-from chromium import chromium
 from command_here import printed
 from playwright.sync_api import Browser, BrowserContext, Page, expect
 from workbench_server import Workbench, running_workbench
@@ -24,6 +23,7 @@ from dtwin.config import Home
 from dtwin.people import add_person
 
 pytestmark = pytest.mark.system
+pytest_plugins = ["chromium"]
 
 PATIENCE_MS = 300_000
 # Plotly's button that uploads a chart to its cloud.
@@ -48,12 +48,6 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Workbench]:
         assert started.process.stderr is not None
         said = started.process.stderr.read()
         assert said == "stopped\n"
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    with chromium() as started:
-        yield started
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,6 @@ from pathlib import Path
 import plotly.graph_objects as go
 import pytest
 from axe_playwright_python.sync_playwright import Axe
-from chromium import chromium
 from laser_axis import write_laser
 from playwright.sync_api import Browser, Page
 from starlette.routing import Route
@@ -33,6 +32,7 @@ from dtwin.workbench._bench import Bench
 from dtwin.workbench.server import application
 
 pytestmark = pytest.mark.system
+pytest_plugins = ["chromium"]
 ROOT = Path(__file__).parents[2]
 
 PAGES = (
@@ -91,12 +91,6 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Workbench]:
     with_event(home, "virtual-mill", "crash", "2026-03-01", "vice")
     keep_plan(home, draft_of(home, "virtual-mill", "circular"))
     with running_workbench(home.root) as started:
-        yield started
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    with chromium() as started:
         yield started
 
 

@@ -14,8 +14,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from chromium import chromium
-from playwright.sync_api import expect
+from playwright.sync_api import Browser, expect
 from served_robot import MACHINE, Server, promote, wait_until_corrected, wait_until_released
 from virtual_robot import virtual_robot
 from workbench_server import Workbench, running_workbench
@@ -24,6 +23,7 @@ from dtwin.config import home as dtwin_home
 from dtwin.serve.band import COVARIANCE, constant_band
 
 pytestmark = pytest.mark.system
+pytest_plugins = ["chromium"]
 
 SERVES = """
 import sys, time
@@ -135,10 +135,10 @@ def test_a_session_that_ended_shows_its_figures(bench: Workbench) -> None:
     assert figure["data"][0]["x"] == ["0 to 10", "over 10"]
 
 
-def test_a_page_that_is_not_answered_says_so(tmp_path: Path, artifacts: Path) -> None:
+def test_a_page_that_is_not_answered_says_so(browser: Browser, tmp_path: Path, artifacts: Path) -> None:
     """As when the computer of the workbench is held up: what is served may have changed since."""
-    with running_workbench(tmp_path) as workbench, chromium() as browser:
-        page = browser.new_page(viewport={"width": 820, "height": 900})
+    viewport = {"width": 820, "height": 900}
+    with running_workbench(tmp_path) as workbench, browser.new_page(viewport=viewport) as page:
         page.goto(workbench.address)
         serving = subprocess.Popen([sys.executable, "-c", SERVES, str(tmp_path)], stdout=subprocess.PIPE)
         try:
@@ -167,7 +167,7 @@ def test_a_page_that_is_not_answered_says_so(tmp_path: Path, artifacts: Path) ->
 
 
 def test_a_loop_that_runs_is_followed_and_stopped_in_the_browser(
-    tmp_path: Path, artifacts: Path, monkeypatch: pytest.MonkeyPatch
+    browser: Browser, tmp_path: Path, artifacts: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Real server, real ur-rtde client, virtual controller on the wall clock."""
     monkeypatch.setenv("DTWIN_HOME", str(tmp_path))
@@ -175,9 +175,8 @@ def test_a_loop_that_runs_is_followed_and_stopped_in_the_browser(
     with (
         virtual_robot("--feed-mm-min=12000", "--radius-mm=50") as robot,
         running_workbench(tmp_path) as workbench,
-        chromium() as browser,
+        browser.new_page(viewport={"width": 1024, "height": 1300}) as page,
     ):
-        page = browser.new_page(viewport={"width": 1024, "height": 1300})
         page.set_default_timeout(60_000)
         expect.set_options(timeout=60_000)
         server = Server(f"--host={robot.host}")

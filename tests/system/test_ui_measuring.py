@@ -9,8 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from chromium import chromium
-from playwright.sync_api import expect
+from playwright.sync_api import Browser, expect
 from test_ui import PATIENCE_MS
 from workbench_server import Workbench, running_workbench
 
@@ -19,6 +18,7 @@ from dtwin.pipeline.desk import DONE, KEEP, REPEAT, Desk, Question, enter_desk
 from dtwin.processes import process
 
 pytestmark = pytest.mark.system
+pytest_plugins = ["chromium"]
 
 
 @pytest.fixture
@@ -27,7 +27,7 @@ def bench(tmp_path: Path) -> Iterator[Workbench]:
         yield started
 
 
-def test_what_is_asked_is_shown_and_answered(bench: Workbench, tmp_path: Path) -> None:
+def test_what_is_asked_is_shown_and_answered(bench: Workbench, browser: Browser, tmp_path: Path) -> None:
     assert "No campaign is being measured" in bench.ask("/measuring")[1]
     folder = tmp_path / "shop"
     folder.mkdir()
@@ -47,8 +47,7 @@ def test_what_is_asked_is_shown_and_answered(bench: Workbench, tmp_path: Path) -
     assert bench.act(f"/api/measuring/{name}/other/done")[0] == 400
     assert bench.act(f"/api/measuring/0123/{first.id}/done")[0] == 400
     assert desk.answer() is None
-    with chromium() as browser:
-        page = browser.new_page()
+    with browser.new_page() as page:
         page.set_default_timeout(PATIENCE_MS)
         page.goto(bench.address)
         page.wait_for_url("**/machines")

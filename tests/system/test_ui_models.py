@@ -7,9 +7,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from chromium import chromium
 from closed_loop import circles, in_lake, registered, small_bundle, turns
-from playwright.sync_api import Page, expect
+from playwright.sync_api import Browser, Page, expect
 from test_ui import PATIENCE_MS
 from workbench_server import Workbench, running_workbench
 
@@ -18,6 +17,7 @@ from dtwin.lifecycle.evidence import compute
 from dtwin.train.registry import Registry
 
 pytestmark = pytest.mark.system
+pytest_plugins = ["chromium"]
 
 
 def register_three(home: Home) -> None:
@@ -37,13 +37,13 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Workbench]:
 
 
 @pytest.fixture(scope="module")
-def page(bench: Workbench) -> Iterator[Page]:
-    with chromium() as browser:
-        opened = browser.new_page(viewport={"width": 1280, "height": 900})
-        opened.set_default_timeout(PATIENCE_MS)
-        opened.goto(bench.address)
-        opened.wait_for_url("**/machines")
-        yield opened
+def page(browser: Browser, bench: Workbench) -> Iterator[Page]:
+    opened = browser.new_page(viewport={"width": 1280, "height": 900})
+    opened.set_default_timeout(PATIENCE_MS)
+    opened.goto(bench.address)
+    opened.wait_for_url("**/machines")
+    yield opened
+    opened.close()
 
 
 def _promote(page: Page, bench: Workbench, version: int, why: str) -> None:
