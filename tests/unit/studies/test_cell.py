@@ -135,7 +135,7 @@ def test_both_twins_make_their_step_better() -> None:
 
 
 def test_a_mistake_in_a_flow_is_logged_without_a_traceback() -> None:
-    import_module("flows._runtime")
+    import_module("flows._told")
     for error, kept in ((InputError("the cell has no job"), False), (ValueError("ours"), True)):
         record = logging.LogRecord("prefect.flow_runs", logging.ERROR, "", 1, "", (), (type(error), error, None))
         assert logging.getLogger("prefect.flow_runs").filter(record)
