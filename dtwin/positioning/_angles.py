@@ -112,3 +112,14 @@ def is_angle(cell: str) -> bool:
 
 def _in_angles(cell: str) -> bool:
     return plain_unit(told_unit(cell, "")) in ANGLES_DEG or plain_unit(cell) in ANGLES_DEG
+
+
+def tells_angles(rows: Sequence[Sequence[str]]) -> bool:
+    """Return whether cells tell a unit of angle, and none a unit of length."""
+    cells = [cell for row in rows for cell in row]
+    return any(map(names_angles, cells)) and not any(map(is_length, cells))
+
+
+def names_angles(title: str) -> bool:
+    """Return whether a title tells a unit of angle; ``20.3 °`` is one value of something."""
+    return is_angle(title) and re.search(r"\d\s*°", title) is None

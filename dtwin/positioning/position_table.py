@@ -16,7 +16,6 @@ a unit are millimetres, or degrees, which is said; deviations must state theirs.
 
 from __future__ import annotations
 
-import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -33,7 +32,7 @@ from dtwin.acquire.spreadsheet import first_text, has_other_axes, table_bytes
 from dtwin.acquire.table_dialect import SUMMARY, decoded, remarks_of, rows_of
 from dtwin.acquire.xmlsafe import number_or_none
 from dtwin.errors import InputError
-from dtwin.positioning._angles import angles_as_targets, is_angle, of_angles, with_degrees
+from dtwin.positioning._angles import angles_as_targets, names_angles, of_angles, tells_angles, with_degrees
 from dtwin.positioning._one_place import joined_targets, one_place, probings_of, trials_of, with_joined_targets
 from dtwin.positioning._one_state import require_one_state
 from dtwin.positioning._plain_table import rows_of_axis, table_of, told_apart
@@ -124,7 +123,7 @@ def _turns(text: str, console: bool) -> bool | None:
     if tables or plain is not None:
         return all(of_angles(table[:2]) for table in tables or [plain or ()])
     if names_no_direction(rows):
-        return _is_of_angles(rows[:MOST_TITLES])
+        return tells_angles(rows[:MOST_TITLES])
     return False if trials_of(rows, LENGTHS) or probings_of(text) else None
 
 
@@ -146,7 +145,7 @@ def read_position_runs(
     require_axis(told or axes_named([*remarks_of(part), *rows[:MOST_TITLES]]), axis, path)
     others = part != whole or len(rows) < len(every) or has_other_axes(path, axis)
     first = [cell for row in rows[:MOST_TITLES] for cell in row]
-    turns = f"axis {axis}, and no unit of length" if TURNS.fullmatch(axis) else next(filter(_names_angles, first), "")
+    turns = f"axis {axis}, and no unit of length" if TURNS.fullmatch(axis) else next(filter(names_angles, first), "")
     lengths = any(map(is_length, first)) or assigned_unit(text) in LENGTHS.units
     if not scale.turn and turns and not lengths:
         raise of_other_unit(scale, path, turns.strip()[:60])
@@ -157,17 +156,6 @@ def read_position_runs(
             Finding(AXIS_CHOSEN, "info", f"the file holds other axes, too: what is called {axis} in it was read")
         )
     return runs_of(table, path, stated, said), []
-
-
-def _is_of_angles(rows: Sequence[Sequence[str]]) -> bool:
-    """Return whether cells tell a unit of angle, and none a unit of length."""
-    cells = [cell for row in rows for cell in row]
-    return any(map(_names_angles, cells)) and not any(map(is_length, cells))
-
-
-def _names_angles(title: str) -> bool:
-    """Return whether a title tells a unit of angle; ``20.3 °`` is one value of something."""
-    return is_angle(title) and re.search(r"\d\s*°", title) is None
 
 
 def _table_in(
