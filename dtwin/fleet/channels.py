@@ -68,7 +68,9 @@ class _Email:
                 server.starttls(context=ssl.create_default_context())
             if self.user:
                 server.login(self.user, _secret(self.password_from, "email.password_from"))
-            server.send_message(message)
+            # Some may be refused where others are taken.
+            if refused := server.send_message(message):
+                raise DeviceError(f"the server refused {', '.join(refused)} alone", code="alert.email")
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from dtwin.config import Home
 from dtwin.documents import finite
@@ -22,6 +22,9 @@ from dtwin.kinds.registry import kind_named
 from dtwin.lake.rows import by_campaign
 from dtwin.lake.store import Lake
 from dtwin.pipeline.kept import keep, kept_already, stamp_of
+
+if TYPE_CHECKING:
+    from dtwin.train.registry import RegisteredVersion
 
 DIAGNOSES = "diagnoses"
 _Units = tuple[list["Unit"], dict[str, str]]
@@ -191,8 +194,15 @@ def _champions(days: float, home: Home, machines: Collection[str]) -> _Units:
         if (last := champion.tags.get("recheck", "").partition(" ")[0]) > limit:
             passed[machine] = f"checked {last}"
         else:
-            units.append(Unit(machine, machine, champion.version))
+            units.append(Unit(machine, machine, _which(champion)))
     return units, passed
+
+
+def _which(champion: RegisteredVersion) -> str:
+    """Return what a check of a champion depends on: another home may have another one of its number."""
+    from dtwin.train.registry import MODEL
+
+    return f"{champion.version} {champion.tags.get(MODEL, '')}".rstrip()
 
 
 def _looked_at(root: str, unit: Unit, seed: int) -> Any:
@@ -200,7 +210,9 @@ def _looked_at(root: str, unit: Unit, seed: int) -> Any:
     from dtwin.train.registry import Registry
 
     home = Home(Path(root))
-    return look_again(home, Registry(home).version(unit.machine, unit.stamp), seed=seed)
+    champion = Registry(home).version(unit.machine, unit.stamp.partition(" ")[0])
+    _require(_which(champion), unit.stamp, unit, "models")
+    return look_again(home, champion, seed=seed)
 
 
 def _settle(home: Home, unit: Unit, result: Any) -> dict[str, Any]:
@@ -209,13 +221,13 @@ def _settle(home: Home, unit: Unit, result: Any) -> dict[str, Any]:
 
     registry = Registry(home)
     champion = registry.version(unit.machine, "champion")
-    if champion.version != unit.stamp:
+    if _which(champion) != unit.stamp:
         raise GateRefusal(
             "another version became champion meanwhile",
             code="fleet.champion",
             where=f"machine {unit.machine}",
             got=champion.version,
-            allowed=unit.stamp,
+            allowed=unit.stamp.partition(" ")[0],
         )
     done = settled(home, champion, result)
     return {"verdict": done.found.verdict, "headline": done.found.reason, "withdrawn": done.withdrawn}

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from dtwin.config import Home
-from dtwin.errors import DtwinError
+from dtwin.errors import DtwinError, StoreError
 from dtwin.fleet.alerts import Alert, Told, sorted_alerts, tell
 from dtwin.fleet.channels import channels_of
 from dtwin.fleet.jobs import DIAGNOSE, Job, recheck_job
@@ -78,7 +78,13 @@ def nightly(
 
     def done(job: Job) -> FleetRun:
         told = None if progress is None else partial(progress, job.name)
-        return run_fleet(home, job, machines, on=on, workers=workers, seed=seed, progress=told)
+        run = FleetRun(job.name, on)
+        try:
+            return run_fleet(home, job, machines, on=on, workers=workers, seed=seed, progress=told, into=run)
+        except StoreError as error:
+            # Of this night a scheduler that is away is told, too, and all else that there is to tell.
+            run.failed[f"fleet {job.name}"] = error.as_dict()
+            return run
 
     night = Night(done(DIAGNOSE), done(recheck_job(_DAYS)), arrived)
     looked_at = None if progress is None else partial(progress, "history")

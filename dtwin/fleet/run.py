@@ -60,6 +60,7 @@ def run_fleet(
     workers: int | None = None,
     seed: int = 0,
     progress: Progress | None = None,
+    into: FleetRun | None = None,
 ) -> FleetRun:
     """Do a job for machines, and keep every result as it comes.
 
@@ -67,7 +68,8 @@ def run_fleet(
     depend on the engine.
 
     ``machines``: all of the home without names.
-    ``on``, ``workers``: as for :func:`dtwin.fleet.engine.engine`.
+    ``on``, ``workers``: as for :func:`engine`.
+    ``into``: what is filled and returned: it holds what was done also where an error ends the job.
     Raises ``StoreError`` when another process does the same job in this home, or the scheduler died.
     """
     _require_engine(on, workers)
@@ -80,8 +82,8 @@ def run_fleet(
                 got=f"fleet {job.name}",
                 hint="wait for it, or stop it: what it did is kept",
             )
-        units, passed = job.units(home, machines)
-        run = FleetRun(job.name, on, passed=passed)
+        run = into or FleetRun(job.name, on)
+        units, run.passed = job.units(home, machines)
         alone, tries = False, 0
         while todo := [unit for unit in units if unit.name not in run.done and unit.name not in run.failed]:
             tries += 1
@@ -117,9 +119,23 @@ def _answers(at: Engine, home: Home, job: Job, units: list[Unit], seed: int) -> 
             under_way[at.executor.submit(job.work, str(home.root), unit, seed)] = unit
         if not under_way:
             return
-        ended, _ = wait(under_way, return_when=FIRST_COMPLETED)
-        for future in ended:
+        for future in _ended(at, under_way):
             yield under_way.pop(future), future
+
+
+def _ended(at: Engine, under_way: Collection[Future[Any]]) -> set[Future[Any]]:
+    """Wait until a future ends, as long as somebody works."""
+    nobody = 0
+    while not (ended := wait(under_way, _LOOK_S, FIRST_COMPLETED).done):
+        nobody = 0 if at.workers() else nobody + 1
+        if nobody == _LOOKS:
+            raise StoreError(
+                "the scheduler has no worker any more, or does not answer",
+                code="fleet.worker",
+                got=f"nobody for {_LOOK_S * _LOOKS:g} s",
+                hint="what was done is kept: start a worker, and give the same command again",
+            )
+    return ended
 
 
 def _take(run: FleetRun, home: Home, job: Job, unit: Unit, future: Future[Any]) -> None:
@@ -164,6 +180,8 @@ def _stopped(run: FleetRun, units: list[Unit]) -> Interrupted:
 
 _FORMS = "local, dask://host:port on this computer, dask+tls://host:port"
 _CONNECT_S = 10
+# A worker that died may be back between two looks.
+_LOOK_S, _LOOKS = 20.0, 3
 
 
 @dataclass(frozen=True)
@@ -171,10 +189,12 @@ class Engine:
     """An executor and how much work it is given at once.
 
     ``slots``: units that are under way at most; what is not under way costs no memory.
+    ``workers``: returns how many work; 0 where nobody answers.
     """
 
     executor: Executor
     slots: int
+    workers: Callable[[], int] = lambda: 1
 
 
 class _InLine(Executor):
@@ -267,5 +287,12 @@ def _dask(address: str) -> Iterator[Engine]:
             raise StoreError(
                 "the scheduler has no worker", code="fleet.worker", where=address, hint=f"dask worker {address}"
             )
+
+        def working() -> int:
+            try:
+                return len(client.sync(client.scheduler.ncores, callback_timeout=_CONNECT_S))
+            except (OSError, TimeoutError):
+                return 0
+
         # Not pure: a result is asked for again only when it is wanted again.
-        yield Engine(client.get_executor(pure=False), 2 * workers)
+        yield Engine(client.get_executor(pure=False), 2 * workers, working)

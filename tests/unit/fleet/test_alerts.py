@@ -36,6 +36,12 @@ class Inbox:
     def __init__(self) -> None:
         self.mails: list[Any] = []
 
+    async def handle_RCPT(self, server: Any, session: Any, envelope: Any, address: str, options: Any) -> str:
+        if address.startswith("left"):
+            return "550 no such person"
+        envelope.rcpt_tos.append(address)
+        return "250 OK"
+
     async def handle_DATA(self, server: Any, session: Any, envelope: Any) -> str:
         self.mails.append(envelope)
         return "250 OK"
@@ -103,6 +109,14 @@ def test_new_alerts_are_one_mail_and_told_once_while_they_last(inbox: tuple[Inbo
     tell(where, [FAILED], channels_of(where), DAY)
     assert tell(where, [LATE, FAILED], channels_of(where), DAY).sent == {"email": 1}
     assert len(kept.mails) == 2
+
+
+def test_one_of_several_whom_the_server_refuses_is_said(inbox: tuple[Inbox, int]) -> None:
+    where = state(
+        f'[email]\nsmtp = "127.0.0.1:{inbox[1]}"\nsender = "a@b.example"\nto = ["shop@b.example", "left@b.example"]\n'
+    )
+    assert "refused left@b.example alone" in try_channels(where)["email"]
+    assert inbox[0].mails[0].rcpt_tos == ["shop@b.example"]
 
 
 def test_what_is_silenced_is_not_told_until_its_day(inbox: tuple[Inbox, int]) -> None:
@@ -312,6 +326,17 @@ def test_a_night_takes_in_diagnoses_and_lists_what_is_late_and_failed(
     assert not again.diagnosed.done
     assert [alert.key for alert in again.alerts] == ["overdue:mill-0"]
     assert len(hook[0]) == 1
+
+
+def test_a_night_without_its_scheduler_tells_so_and_all_else(
+    hook: tuple[list[dict[str, Any]], int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("dtwin.fleet.run._CONNECT_S", 0.3)
+    where = state(f'[webhook]\nurl = "http://127.0.0.1:{hook[1]}/alerts"\n')
+    fill(where, 1)
+    keep_record(where, "mill-0", {"test_every_days": 30.0})
+    nightly(where, on="dask://127.0.0.1:9", today=DAY)
+    assert [alert["key"] for alert in hook[0][0]["alerts"]] == ["failed:fleet diagnose", "overdue:mill-0"]
 
 
 def test_a_file_that_was_refused_on_a_night_that_was_killed_is_told_the_next_night(

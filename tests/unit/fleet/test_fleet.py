@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
+from concurrent.futures import Executor, Future
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,8 +19,8 @@ from dtwin.config import Home, home
 from dtwin.errors import InputError, Interrupted, StoreError
 from dtwin.fleet.alerts import fleet_view
 from dtwin.fleet.jobs import DIAGNOSE, DIAGNOSES, TRAIN, Unit
+from dtwin.fleet.run import Engine, run_fleet
 from dtwin.fleet.run import engine as engine_of
-from dtwin.fleet.run import run_fleet
 from dtwin.locks import locked
 from dtwin.pipeline.kept import kept_already
 
@@ -175,6 +178,22 @@ def test_a_scheduler_that_is_not_there_is_said(lake: Home, monkeypatch: pytest.M
     with pytest.raises(StoreError) as caught:
         run_fleet(lake, DIAGNOSE, on="dask://127.0.0.1:9")
     assert caught.value.code == "fleet.scheduler"
+
+
+class _Nobody(Executor):
+    """Takes work that nobody does."""
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        return Future()
+
+
+def test_work_that_nobody_does_any_more_ends(lake: Home, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("dtwin.fleet.run._LOOK_S", 0.01)
+    left = iter([1, 1, 0, 0, 0])
+    monkeypatch.setattr("dtwin.fleet.run.engine", lambda *_: nullcontext(Engine(_Nobody(), 2, lambda: next(left))))
+    with pytest.raises(StoreError) as caught:
+        run_fleet(lake, ANSWER)
+    assert (caught.value.code, next(left, None)) == ("fleet.worker", None)
 
 
 def test_commands_say_what_was_done_and_what_was_passed_over(lake: Home) -> None:

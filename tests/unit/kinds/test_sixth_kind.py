@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from importlib.metadata import EntryPoint
 from pathlib import Path
 from types import SimpleNamespace
@@ -13,8 +14,8 @@ from command_here import said
 from starlette.testclient import TestClient
 
 from dtwin.config import Home
-from dtwin.errors import GateRefusal
-from dtwin.fleet.jobs import TRAIN
+from dtwin.errors import GateRefusal, StoreError
+from dtwin.fleet.jobs import TRAIN, recheck_job
 from dtwin.kinds import registry
 from dtwin.kinds.kind import NotOffered
 from dtwin.physics import library
@@ -76,6 +77,9 @@ def test_a_rotary_table_goes_from_plan_to_champion(tmp_path: Path) -> None:
     promoted = said("promote", trained["version"], "--machine", "table-1")
     assert promoted["champion"], promoted["reason"]
     assert all(condition["better"] for condition in promoted["evidence"]["conditions"])
+    ((unit,), _) = recheck_job(0.0).units(Home(tmp_path / "home"), ())
+    with pytest.raises(StoreError, match="other models"):
+        recheck_job(0.0).work(str(tmp_path / "home"), replace(unit, stamp=unit.stamp[:-1]), 0)
     assert said("fleet", "recheck", "--workers", "1")["done"]["table-1"]["verdict"] == "helps"
     assert said("fleet", "recheck", "--workers", "1")["passed"]["table-1"].startswith("checked 20")
     home = Home(tmp_path / "home")
