@@ -22,9 +22,10 @@ def foreign_table(path: Path, content: pa.BufferReader | None = None) -> pa.Tabl
     Raises ``InputError`` where it would be too large; errors of Arrow and of reading go on.
     """
     source = content or path
-    schema = pq.read_schema(source)
     require_moderate(path, content)
-    words = [field.name for field in schema if pa.types.is_string(field.type) or pa.types.is_binary(field.type)]
+    schema = pq.read_metadata(source).schema
+    # By what is stored: types of Arrow for words are many.
+    words = [column.path for column in map(schema.column, range(len(schema))) if column.physical_type == "BYTE_ARRAY"]
     if content is not None:
         content.seek(0)
     file = pq.ParquetFile(source, page_checksum_verification=True, read_dictionary=words)
@@ -54,7 +55,9 @@ def require_moderate(path: Path, content: pa.BufferReader | None = None, *, most
         )
     groups = [told.row_group(n) for n in range(told.num_row_groups)]
     values = sum(group.num_rows * group.num_columns for group in groups)
-    held = sum(group.total_byte_size for group in groups)
+    columns = map(told.schema.column, range(len(told.schema)))
+    fixed = sum(column.length for column in columns if column.physical_type == "FIXED_LEN_BYTE_ARRAY")
+    held = sum(group.total_byte_size for group in groups) + fixed * told.num_rows
     if values > most_values:
         raise _too_large(path, f"{values} values", f"up to {most_values} values")
     if held > 8 * most_values:

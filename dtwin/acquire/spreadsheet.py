@@ -12,7 +12,7 @@ from contextlib import suppress
 from datetime import date, datetime, time, timedelta
 from functools import lru_cache
 from html.parser import HTMLParser
-from itertools import islice, zip_longest
+from itertools import chain, islice, zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -38,12 +38,14 @@ _IN_ARCHIVES = (".csv", ".tsv", ".txt", ".dat", ".md", ".xlsx", ".xlsm", ".xls")
 _SNIFFED, _FIRST_LINES = 65_536, 100
 _LOOKED_AT = 200
 _MOST_ROWS, _MOST_COLUMNS = 200_000, 512
+# Of a sheet of Excel; for rows that a file leaves out empty ones are read.
+_LAST_ROW = 1_048_576
 _FORMULA = re.compile(rb"<(\w+:)?f[ />]")
 _HIDDEN_ROW = re.compile(
     rb'<(?:\w+:)?row\b[^>]*\bhidden="(?:1|true)"[^>]*(?<!/)>(?:<(?:\w+:)?c\b[^>]*/>)*<(?:\w+:)?c\b[^>]*(?<!/)>'
 )
 """A row that is not shown, as a filter leaves it, with a cell that holds something."""
-_CHUNK = 1024**2
+_CHUNK, _BLOCK = 1024**2, 1000
 
 
 def is_spreadsheet(path: Path) -> bool:
@@ -133,6 +135,9 @@ def _converted(path: Path, _changed_ns: int, axis: str | None) -> tuple[bytes, b
         try:
             # What is hidden is not what its reader sees.
             shown = [sheet for sheet in book.worksheets if sheet.sheet_state == "visible"]
+            for sheet in shown:
+                # How far it reaches by its own word is not believed.
+                sheet.reset_dimensions()
             if calculated:
                 _require_saved(path, data, shown)
             heads = {
@@ -224,8 +229,9 @@ def _of_parquet(path: Path, data: bytes) -> bytes:
     try:
         table = foreign_table(path, pa.BufferReader(data))
         if table.num_rows <= _MOST_ROWS:
-            cells = (column.to_pylist() for column in table.columns)
-            return _as_csv(_rows(path, iter([table.column_names, *zip(*cells, strict=True)])))
+            blocks = ((column.to_pylist() for column in block.columns) for block in table.to_batches(_BLOCK))
+            rows = chain.from_iterable(zip(*columns, strict=True) for columns in blocks)
+            return _as_csv(_rows(path, chain([table.column_names], rows)))
     except (pa.ArrowException, OSError, ValueError) as error:
         raise _refused(path, str(error)[:160], "a whole file of Parquet") from error
     raise _refused(path, f"{table.num_rows} rows", f"up to {_MOST_ROWS} rows")
@@ -266,7 +272,8 @@ def _require_saved(path: Path, data: bytes, sheets: Sequence[Any]) -> None:
     book = openpyxl.load_workbook(io.BytesIO(data), read_only=True, keep_links=False)
     try:
         for sheet in sheets:
-            for told, read in zip(book[sheet.title].iter_rows(), sheet.iter_rows(), strict=False):
+            book[sheet.title].reset_dimensions()
+            for told, read in zip(book[sheet.title].iter_rows(), islice(sheet.iter_rows(), _LAST_ROW), strict=False):
                 for formula, cell in zip(told, read, strict=False):
                     # A saved empty text has its type.
                     if formula.data_type == "f" and cell.value is None and cell.data_type != "str":
@@ -290,11 +297,18 @@ def _heads(rows: list[list[str]]) -> list[str]:
 
 def _rows(path: Path, cells: Iterator[Sequence[object]]) -> list[list[str]]:
     rows: list[list[str]] = []
-    for row in cells:
+    size = 0
+    for number, row in enumerate(cells):
+        if number == _LAST_ROW:
+            raise _refused(path, f"a row below {_LAST_ROW}", "rows of a sheet of Excel")
         texts = [_text(cell) for cell in row]
         if not any(texts):
             continue
         rows.append(texts)
+        # One long text may be that of many cells.
+        size += sum(map(len, texts))
+        if size > _MAX_UNPACKED:
+            raise _refused(path, "long texts in many cells", f"up to {_MAX_UNPACKED / 1e6:z.0f} MB as text")
         if len(rows) > _MOST_ROWS or len(texts) > _MOST_COLUMNS:
             raise _refused(
                 path, f"{len(rows)} rows of {len(texts)} cells", f"up to {_MOST_ROWS} rows and {_MOST_COLUMNS} columns"

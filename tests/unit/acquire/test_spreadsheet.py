@@ -9,6 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import openpyxl
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -101,6 +103,29 @@ def test_an_archive_that_is_a_bomb_is_refused(tmp_path: Path) -> None:
         archive.writestr("xl/worksheets/sheet1.xml", b"0" * (300 * 1024**2))
     with pytest.raises(InputError, match="the spreadsheet cannot be read"):
         table_bytes(bomb, 1)
+
+
+def test_a_row_far_below_all_others_is_refused_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """By its own word: for rows that a file leaves out empty ones are read."""
+    monkeypatch.setattr("dtwin.acquire.spreadsheet._LAST_ROW", 1000)
+    path = write(tmp_path / "sheet.xlsx", [["a", "b"], [1.0, 2.0], [2.0, 3.0]])
+    book = openpyxl.load_workbook(path)
+    assert book.active is not None
+    book.active["B1002"] = 1.0
+    book.save(path)
+    with pytest.raises(InputError) as refused:
+        table_bytes(path, 10**6)
+    assert refused.value.got == "a row below 1000"
+
+
+def test_a_long_text_in_very_many_cells_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "words.parquet"
+    pq.write_table(pa.table({"a": [1.0] * 400, "b": ["x" * 3000] * 400}), path)
+    assert len(table_bytes(path, 10**7)) > 1_200_000
+    monkeypatch.setattr("dtwin.acquire.spreadsheet._MAX_UNPACKED", 10**6)
+    with pytest.raises(InputError) as refused:
+        table_bytes(path, 10**7)
+    assert refused.value.got == "long texts in many cells"
 
 
 def test_xml_that_names_entities_is_refused(tmp_path: Path) -> None:

@@ -155,10 +155,12 @@ def test_a_file_of_parquet_that_unpacks_to_very_much_is_refused_before(
 ) -> None:
     numbers = np.arange(40.0)
     columns = {"t_s": numbers, "angle_deg": 9.0 * numbers, "deviation_um": numbers}
-    pq.write_table(pa.table({**columns, "note": ["x" * 40_000] * 40}), tmp_path / "word.parquet")
-    with pytest.raises(InputError, match="too large when it is unpacked") as error:
-        read_columns(tmp_path / "word.parquet", "circular")
-    assert error.value.got == "a cell of 40000 bytes in 'note'"
+    for kind in (pa.string(), pa.large_string(), pa.dictionary(pa.int32(), pa.string())):
+        note = pa.array(["x" * 40_000] * 40, kind)
+        pq.write_table(pa.table({**columns, "note": note}), tmp_path / "word.parquet")
+        with pytest.raises(InputError, match="too large when it is unpacked") as error:
+            read_columns(tmp_path / "word.parquet", "circular")
+        assert error.value.got == "a cell of 40000 bytes in 'note'"
     pq.write_table(pa.table(columns), tmp_path / "a.parquet")
     assert len(read_columns(tmp_path / "a.parquet", "circular")[0]["t_s"]) == 40
     monkeypatch.setitem(require_moderate.__kwdefaults__, "most_values", 100)
