@@ -15,8 +15,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from dtwin.acquire._html_table import table_of_page
 from dtwin.acquire.ingest import ingest, open_source
-from dtwin.acquire.spreadsheet import _table_of_page, table_bytes
+from dtwin.acquire.spreadsheet import table_bytes
 from dtwin.errors import InputError
 from dtwin.lake.store import Lake
 
@@ -232,7 +233,7 @@ def page_of(text: str) -> str:
 
 def test_a_cell_of_a_page_is_cut_where_it_is_no_reading_any_more() -> None:
     # Uncut, each part would copy all those before it.
-    ((cell,),) = _table_of_page("<table><tr><td>" + "<b>part " * 5000)
+    ((cell,),) = table_of_page("<table><tr><td>" + "<b>part " * 5000)
     assert cell.startswith("part part ")
     assert len(cell) < 2000
 
