@@ -13,6 +13,7 @@ import zlib
 from collections import Counter
 from collections.abc import AsyncIterator, Collection
 from pathlib import Path, PurePosixPath
+from unicodedata import normalize
 
 from dtwin.acquire.spreadsheet import LEFT_BY_SYSTEMS
 from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
@@ -107,7 +108,8 @@ class Trays:
 
 def safe_path(name: str) -> PurePosixPath:
     """Return a relative path that stays where it is put. ``name``: as a browser or an archive states it."""
-    parts = name.replace("\\", "/").split("/")
+    # Of a Mac the dots of an umlaut come as a letter of their own.
+    parts = normalize("NFC", name).replace("\\", "/").split("/")
     if len(parts) > _MAX_DEPTH or not all(_PART.fullmatch(p) and len(p.encode()) <= _MAX_PART_BYTES for p in parts):
         raise InputError(
             "a file has a name that is not taken",

@@ -5,8 +5,10 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import gc
+import logging
 import socket
 import threading
+from asyncio import CancelledError
 from collections.abc import Callable
 from importlib import import_module
 from importlib.resources import files
@@ -111,6 +113,10 @@ def run(
         timeout_graceful_shutdown=3,
         backlog=_AT_ONCE,
     )
+    # A request that Ctrl-C cuts short is no fault.
+    logging.getLogger("uvicorn.error").addFilter(
+        lambda said: not (said.exc_info and said.exc_info[0] is CancelledError)
+    )
     _Announcing(config, lambda: announce(access.address)).run(sockets=[listening])
 
 
@@ -203,7 +209,7 @@ def _unknown(request: Request, error: Exception) -> Response:
 
 
 class Connection(H11Protocol):
-    """A connection that is closed when the head of its next request is not whole in time, or nothing of an answer is taken.
+    """A connection that is closed when the head of its next request is not whole in time, nothing more of its body comes, or nothing of an answer is taken.
 
     Of very many, one that waits for a request gives way to each new one. The server itself limits only how long nothing at all comes after an answer.
     """
@@ -222,9 +228,11 @@ class Connection(H11Protocol):
         self._wait()
 
     def data_received(self, data: bytes) -> None:
-        """Read on; a request whose head is whole may take its time."""
+        """Read on; a request that is whole may take its time."""
         super().data_received(data)
-        if self.conn.their_state is not h11.IDLE:
+        if self.conn.their_state is h11.SEND_BODY:
+            self._wait()
+        elif self.conn.their_state is not h11.IDLE:
             self._wait_no_more()
 
     def on_response_complete(self) -> None:
@@ -263,7 +271,7 @@ class Connection(H11Protocol):
 
     def _wait(self) -> None:
         self._wait_no_more()
-        if self.conn.their_state is h11.IDLE:
+        if self.conn.their_state in (h11.IDLE, h11.SEND_BODY):
             self._until = self.loop.call_later(_PATIENCE_S, self.transport.close)
 
     def _wait_no_more(self) -> None:

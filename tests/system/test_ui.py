@@ -421,6 +421,7 @@ def test_what_cannot_be_ingested_is_said_in_the_words_of_the_command_line(page: 
     name = "<img src=x onerror=alert(1)>.b5r"
     page.set_input_files("#pick-files", {"name": name, "mimeType": "text/plain", "buffer": b"<a>"})
     expect(page.locator("#work-error")).to_contain_text("error[upload.name]")
+    assert not list(bench.home.glob("workbench/uploads/*"))
     page.get_by_role("button", name="Close").click()
     page.set_input_files("#pick-files", {"name": "x.b5r", "mimeType": "text/plain", "buffer": b"<a>"})
     expect(page.locator("#work-error")).to_contain_text("error[xml.malformed]")

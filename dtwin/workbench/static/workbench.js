@@ -454,12 +454,12 @@ function upload(gather) {
     const files = (await gather()).filter(wanted);
     if (!files.length) throw new Error("nothing was dropped that is a file");
     const { tray } = await send("/api/trays", {});
-    for (const [number, [name, file]] of files.entries()) {
-      byId("work-stage").textContent = `${number + 1} of ${files.length}: ${name}`;
-      await ask(`/api/trays/${tray}?${new URLSearchParams({ name })}`, { method: "PUT", body: file });
-    }
     const tables = [];
     try {
+      for (const [number, [name, file]] of files.entries()) {
+        byId("work-stage").textContent = `${number + 1} of ${files.length}: ${name}`;
+        await ask(`/api/trays/${tray}?${new URLSearchParams({ name })}`, { method: "PUT", body: file });
+      }
       // One after the other: what holds for one file need not hold for the next.
       for (const name of await send(`/api/trays/${tray}/tables`, {})) tables.push(await understood(tray, name, tables.at(-1)));
     } catch (error) {

@@ -436,7 +436,7 @@ def test_a_session_after_the_clock_was_set_back_is_the_newest_of_its_machine(tmp
 
 
 def test_a_connection_that_asks_nothing_is_closed_and_slow_work_is_not(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nothing, a head that comes byte by byte, one after an answer, and an answer that nobody takes."""
+    """Nothing, a head that comes byte by byte, one after an answer, half a body, and an answer that nobody takes."""
     monkeypatch.setattr(_server, "_PATIENCE_S", 0.4)
 
     async def slow(scope: Any, receive: Any, send: Any) -> None:
@@ -471,6 +471,10 @@ def test_a_connection_that_asks_nothing_is_closed_and_slow_work_is_not(monkeypat
                         break
                 else:
                     pytest.fail(f"open still: {asked!r}")
+        with socket.create_connection(listening.getsockname(), timeout=60.0) as client:
+            client.sendall(b"PUT / HTTP/1.1\r\nHost: a\r\nContent-Length: 9\r\n\r\nhalf")
+            while client.recv(4096):
+                pass
         # Of very many that say nothing, one gives way to each that comes.
         monkeypatch.setattr(_server, "_MOST_OPEN", 5)
         monkeypatch.setattr(_server, "_PATIENCE_S", 600.0)
