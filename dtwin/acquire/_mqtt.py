@@ -89,7 +89,7 @@ class MqttRecorder(OpenAndClose):
         self._client: Client | None = None
         self._heard: queue.SimpleQueue[tuple[float, str, bytes, bool]] = queue.SimpleQueue()
         self._held = Held(self.name, rate_hz, list(columns.values()), {"broker": broker, "clock": f"the {clock}'s"})
-        self._running, self._away_s, self._refused = False, math.nan, 0
+        self._running, self._hurried, self._away_s, self._refused = False, False, math.nan, 0
         # Each of one thread: of those that wait there is the difference.
         self._put_bytes = self._taken_bytes = 0
         self._newest_s = self._monotonic_s = self._offset_s = math.nan
@@ -151,11 +151,16 @@ class MqttRecorder(OpenAndClose):
         return self._held.description
 
     def check(self) -> tuple[Finding, ...]:
-        """Return how many messages were refused so far."""
-        if not self._refused:
-            return ()
-        text = f"{self._refused} messages were no numbers, too long, without their time, or more than could wait here"
-        return (Finding("mqtt.refused", "warning", text, {"messages": float(self._refused)}),)
+        """Return how many messages were refused so far, and whether the broker was away at the end."""
+        found = []
+        if self._refused:
+            text = (
+                f"{self._refused} messages were no numbers, too long, without their time, or more than could wait here"
+            )
+            found.append(Finding("mqtt.refused", "warning", text, {"messages": float(self._refused)}))
+        if self._hurried and not math.isnan(self._away_s):
+            found.append(Finding("mqtt.away", "warning", f"{_AWAY} when recording was ended", {}))
+        return tuple(found)
 
     def start(self) -> None:
         """Begin with the first message."""
@@ -165,7 +170,7 @@ class MqttRecorder(OpenAndClose):
         for kept in (self._spoilt, self._retained, self._set_s):
             kept.clear()
         self._newest_s = self._monotonic_s = self._away_s = math.nan
-        self._running = True
+        self._running, self._hurried = True, False
 
     def read(self) -> Reading:
         """Return the samples that have become known, waiting for at least one."""
@@ -182,16 +187,22 @@ class MqttRecorder(OpenAndClose):
                 self._away_s = time.monotonic()
                 self._held.say(f"{_AWAY}; values of up to {2 * _KEEP_ALIVE_S} s before may be old")
             silent = math.isnan(self._newest_s) or not math.isnan(self._away_s)
-            if silent and time.monotonic() >= until_s:
+            if self._hurried and not math.isnan(self._newest_s):
+                return reading
+            if silent and (self._hurried or time.monotonic() >= until_s):
                 refused = f" that can be used, {self._refused} refused" if self._refused else ""
                 raise DeviceError(
                     "nothing was heard",
                     code="mqtt.silent",
                     where=self.broker,
-                    got=f"{self._patience_s:g} s without a message{refused}",
+                    got=f"{round(self._patience_s - max(until_s - time.monotonic(), 0.0), 1):g} s without a message{refused}",
                     hint="mosquitto_sub -v -t '#' shows what is published",
                 )
             time.sleep(min(0.05, 0.5 / self._rate_hz))
+
+    def hurry(self) -> None:
+        """Wait for nothing more."""
+        self._hurried = True
 
     def stop(self) -> None:
         """End recording; what comes is thrown away."""

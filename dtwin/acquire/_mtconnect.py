@@ -27,6 +27,7 @@ _OVERRUN = "observations that the agent's buffer no longer held"
 _RESTARTED = "the agent was restarted"
 # A server, or what stands before it, that is not ready yet.
 _NOT_READY = (502, 503, 504)
+_LOOK_S = 0.2
 _CLOCK_SET_S = 30.0
 """By how much an agent's clock differs from the time that has passed, beside the time of an answer, before it was set."""
 
@@ -63,7 +64,7 @@ class MTConnectRecorder(OpenAndClose):
         self._held: Held | None = None
         self._next, self._instance, self._known_s = 0, "", 0.0
         self._heard_s, self._created_s, self._set_s, self._before_s = math.nan, 0.0, 0.0, 0.0
-        self._running = False
+        self._running = self._hurried = self._left_away = False
 
     def open(self) -> None:
         """Ask the agent what it knows."""
@@ -85,16 +86,20 @@ class MTConnectRecorder(OpenAndClose):
         return self._sink().description
 
     def check(self) -> tuple[Finding, ...]:
-        """Return which data items are left out."""
-        if not self._left:
-            return ()
-        text = f"{len(self._left)} data items are not recorded: {'; '.join(self._left[:8])}"
-        return (Finding("mtconnect.left_out", "info", text, {"items": float(len(self._left))}),)
+        """Return which data items are left out, and whether the agent was away at the end."""
+        found = []
+        if self._left:
+            text = f"{len(self._left)} data items are not recorded: {'; '.join(self._left[:8])}"
+            found.append(Finding("mtconnect.left_out", "info", text, {"items": float(len(self._left))}))
+        if self._left_away:
+            found.append(Finding("mtconnect.away", "warning", "the agent did not answer when recording was ended", {}))
+        return tuple(found)
 
     def start(self) -> None:
         """Begin with what holds now."""
         held = self._sink()
         held.restart()
+        self._hurried = self._left_away = False
         self._heard_s, self._created_s, self._set_s, self._before_s = math.nan, 0.0, 0.0, 0.0
         header, observed = self._streams(self._answer("current"))
         # What has held for hours holds at the beginning.
@@ -115,7 +120,14 @@ class MTConnectRecorder(OpenAndClose):
             if reading.n_samples or reading.lost:
                 return reading
             before, known_s = self._next, self._known_s
-            self._ask()
+            try:
+                self._ask()
+            except DeviceError:
+                if not self._hurried:
+                    raise
+                self._left_away = True
+            if self._hurried:
+                return held.reading(self._known_s)
             if self._next == before:
                 time.sleep(self._poll_s)
             if self._next != before or self._known_s > known_s:
@@ -128,6 +140,10 @@ class MTConnectRecorder(OpenAndClose):
                     got=f"the same for {patience_s:g} s",
                     hint="a proxy that keeps answers, or an agent whose clock stands still",
                 )
+
+    def hurry(self) -> None:
+        """Wait for nothing more."""
+        self._hurried = True
 
     def stop(self) -> None:
         """End recording."""
@@ -190,7 +206,8 @@ class MTConnectRecorder(OpenAndClose):
                 return self._streams(self._answer(what, query))
             except (DeviceError, InputError) as error:
                 spoilt = error.code == "mtconnect.document" or str(error.code).startswith("xml.")
-                if not (spoilt or error.code == "mtconnect.absent") or time.monotonic() >= until_s:
+                over = self._hurried or time.monotonic() >= until_s
+                if not (spoilt or error.code == "mtconnect.absent") or over:
                     raise
                 if spoilt and not said:
                     self._sink().say(f"the agent's answer was none: {error.message}; it is asked again")
@@ -208,10 +225,14 @@ class MTConnectRecorder(OpenAndClose):
                 answered.put(error)
 
         Thread(target=ask, daemon=True).start()
-        try:
-            answer = answered.get(timeout=self._patience_s + self._timeout_s)
-        except Empty:
-            answer = self._absent("an answer that did not end")
+        until_s = time.monotonic() + self._patience_s + self._timeout_s
+        answer: bytes | BaseException | None = None
+        while answer is None:
+            try:
+                answer = answered.get(timeout=_LOOK_S)
+            except Empty:
+                if self._hurried or time.monotonic() >= until_s:
+                    answer = self._absent("an answer that did not end")
         if isinstance(answer, BaseException):
             raise answer
         return answer

@@ -115,6 +115,15 @@ class Instrument(Protocol):
         ...
 
 
+@runtime_checkable
+class Patient(Protocol):
+    """An instrument that waits long for a device that is away."""
+
+    def hurry(self) -> None:
+        """Let ``read`` wait no more; another thread says so when recording is to end."""
+        ...
+
+
 def record(instrument: Instrument, recorder: Recorder, wanted: Callable[[int], bool]) -> int:
     """Record a started instrument; losses are recorded as gaps.
 

@@ -23,7 +23,7 @@ import tomli_w
 from dtwin.acquire._recording import SUFFIX, Recorder
 from dtwin.acquire._recovery import Sealed, covariates_of, recover_folder, seal
 from dtwin.acquire.campaign_folder import open_campaign
-from dtwin.acquire.instrument import Instrument, record
+from dtwin.acquire.instrument import Instrument, Patient, record
 from dtwin.atomic import write_text
 from dtwin.errors import DtwinError, InputError, StoreError
 from dtwin.local_time import was_set
@@ -147,6 +147,9 @@ def _record_all(instruments: Sequence[Instrument], request: RunRequest, asked_to
         while any(thread.is_alive() for thread in threads) or not threads:
             if asked_to_stop():
                 ending.set()
+                for instrument in instruments:
+                    if isinstance(instrument, Patient):
+                        instrument.hurry()
             if not threads and (ending.is_set() or time.monotonic() >= until_s):
                 break
             time.sleep(_WATCH_S)

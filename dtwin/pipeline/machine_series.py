@@ -100,7 +100,8 @@ def next_test(series: Sequence[Mapping[str, Any]], record: MachineRecord, last: 
 def calendar_of(machine: str, due: Mapping[str, str], now: datetime) -> str:
     """Return the next test as a calendar file (iCalendar, RFC 5545)."""
     day = due["on"].replace("-", "")
-    why = due["why"].replace("\\", "\\\\").replace(",", "\\,").replace(";", "\\;")
+    # A title of somebody's own effect may have lines.
+    why = " ".join(due["why"].split()).replace("\\", "\\\\").replace(",", "\\,").replace(";", "\\;")
     lines = [
         "BEGIN:VCALENDAR",
         "VERSION:2.0",

@@ -22,6 +22,7 @@ from typer.testing import CliRunner
 
 from dtwin.acquire._mqtt import MqttRecorder
 from dtwin.acquire.campaign_folder import open_campaign
+from dtwin.acquire.run_recording import RunRequest, record_run
 from dtwin.acquire.signal_files import read_signals
 from dtwin.acquire.stream_file import read_streams_file
 from dtwin.cli import app
@@ -212,6 +213,13 @@ def test_silence_is_said(tmp_path: Path) -> None:
         device.start()
         with pytest.raises(DeviceError) as caught:
             device.read()
+    assert caught.value.code == "mqtt.silent"
+
+
+def test_a_recording_that_is_ended_waits_for_no_message(tmp_path: Path) -> None:
+    request, asked = RunRequest(tmp_path / "c", "c", "m", "r1", None, "r1.b5r"), iter(range(10**6))
+    with running_broker(tmp_path) as port, pytest.raises(DeviceError) as caught:
+        record_run([recorder(port, patience_s=3600.0)], request, lambda: next(asked) > 5)
     assert caught.value.code == "mqtt.silent"
 
 

@@ -337,7 +337,9 @@ def test_what_leads_to_a_limit_is_not_called_steady() -> None:
 
 
 def test_a_calendar_file_folds_long_lines() -> None:
-    text = calendar_of("mill", {"on": "2026-01-02", "why": "µ, " * 60}, datetime(2026, 1, 1, tzinfo=UTC))
+    due = {"on": "2026-01-02", "why": "µ, " * 60 + "a\r\nEND:VEVENT"}
+    text = calendar_of("mill", due, datetime(2026, 1, 1, tzinfo=UTC))
+    assert text.count("\r\nEND:VEVENT") == 1
     assert all(len(line.encode()) <= 75 for line in text.split("\r\n"))
     assert text.replace("\r\n ", "").count("µ\\, ") == 60
 

@@ -231,6 +231,18 @@ def test_an_agent_that_stays_away_is_said(agent: Agent, url: str) -> None:
     assert caught.value.code == "mtconnect.absent"
 
 
+def test_a_recording_that_is_ended_waits_for_no_agent_that_is_away(agent: Agent, url: str) -> None:
+    with recorder(url, patience_s=3600.0) as device:
+        device.start()
+        until(device, 0.0)
+        device.hurry()
+        device.read()
+        assert device.check()[-1].code == "mtconnect.left_out"
+        agent.down = True
+        device.read()
+        assert device.check()[-1].code == "mtconnect.away"
+
+
 def test_a_refusal_that_breaks_off_is_said() -> None:
     over = threading.Event()
 
