@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import gzip
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 
@@ -16,6 +16,7 @@ from plotly.offline import get_plotlyjs
 
 from dtwin.report.language import Language
 from dtwin.report.plots import give_look
+from dtwin.report.text import WIDE, table
 
 # Plotly's own button would upload the chart to its cloud.
 _CONFIG = {
@@ -73,10 +74,19 @@ draw().catch((error) => pictures.forEach(({ parentElement }) => parentElement.ap
 
 @dataclass(frozen=True)
 class Table:
-    """A table of a page; cells are text already."""
+    """A table of a page; cells are texts or whole numbers."""
 
     head: Sequence[str]
-    rows: Sequence[Sequence[str]]
+    rows: Sequence[Sequence[str | int]]
+
+
+Part = str | Table
+"""A line of what is told, or a table in its place."""
+
+
+def parts_text(parts: Iterable[Part]) -> str:
+    """Return what is told for the terminal."""
+    return "\n".join(part if isinstance(part, str) else table(part.head, part.rows, WIDE) for part in parts)
 
 
 @dataclass(frozen=True)
@@ -93,6 +103,16 @@ class Section:
     tables: Sequence[Table] = ()
     figures: Sequence[go.Figure] = ()
     code: Sequence[str] = field(default_factory=tuple)
+
+
+def told_section(
+    title: str, parts: Iterable[Part], findings: Sequence[tuple[str, str]] = (), figures: Sequence[go.Figure] = ()
+) -> Section:
+    """Return a part of a page of what a terminal is told; what a finding says is not said again."""
+    parts, said = list(parts), {text for _, text in findings}
+    lines = [line.strip() for part in parts if isinstance(part, str) for line in part.split("\n")]
+    tables = [part for part in parts if isinstance(part, Table)]
+    return Section(title, [line for line in lines if line not in said], findings, tables, figures)
 
 
 def page(title: str, subtitle: str, sections: Sequence[Section], words: Language | None = None) -> str:

@@ -27,6 +27,8 @@ _PIECES = [(clause.split("{}"), german) for clause, german in _CLAUSES.items() i
 _LONGEST, _MOST_SPACES = 1500, 2
 _WORD = re.compile("[A-Za-z]{3}")
 _WORDS_OF = re.compile("[A-Za-z]{3,}")
+_LIST = re.compile("[,;] | or ")
+_MORE = re.compile(r"and (\d+) more")
 _AXIS = re.compile(r"[A-Z0-9]{1,4}|axis_\d")
 _NUMBER = r"[-+]?\d[\d.]*(?:e[-+]?\d+)?"
 _SIZE = re.compile(
@@ -42,6 +44,10 @@ def _german_of(text: str, tell: Callable[[object], str]) -> str | None:
     def clause(part: str) -> str | None:
         if part in _EXACT:
             return _EXACT[part]
+        # A list before a clause of which one word would be a part of the list.
+        every = [clause(one) for one in part.split(", ")] if ", " in part else [None]
+        if None not in every:
+            return ", ".join(map(str, every))
         for pieces, german in _PIECES:
             if (between := _between(pieces, part)) is not None:
                 words = [_worded(word) or clause(word) or _name(word, tell) for word in between]
@@ -52,14 +58,16 @@ def _german_of(text: str, tell: Callable[[object], str]) -> str | None:
             # A number is the size of what is known by name.
             who = _titled(named) or clause(named) or (None if _sized(rest, tell) else _name(named, tell))
             return None if who is None else f"{who}: {said}"
-        every = [clause(one) for one in part.split(", ")] if ", " in part else [None]
-        return _sized(part, tell) if None in every else ", ".join(map(str, every))
+        return _sized(part, tell)
 
     if len(text) > _LONGEST:
         return None
     parts = re.split(r"(; |\. (?=[A-Z]))", text.removesuffix("."))
     told = [clause(part) if n % 2 == 0 else part for n, part in enumerate(parts)]
-    return None if None in told else "".join(map(str, told)) + "." * text.endswith(".")
+    if None in told:
+        # Of names of effects some are parted by semicolons.
+        return clause(text)
+    return "".join(map(str, told)) + "." * text.endswith(".")
 
 
 def _worded(text: str) -> str | None:
@@ -71,6 +79,12 @@ def _titled(text: str) -> str | None:
     """Return names of effects, each with its axis or without; None where one is not known."""
     if text in _TITLES:
         return _TITLES[text]
+    if more := _MORE.fullmatch(text):
+        return f"und {more[1]} weitere"
+    for between, german in ((" or ", " oder "), ("; ", "; ")):
+        if between in text:
+            every = [_titled(one) for one in text.split(between)]
+            return None if None in every else german.join(map(str, every))
     told: list[str] = []
     for part in text.split(", "):
         title, _, axis = part.rpartition(" ")
@@ -113,8 +127,11 @@ def _between(pieces: Sequence[str], text: str) -> list[str] | None:
 
 
 def _name(text: str, tell: Callable[[object], str]) -> str | None:
-    if (text[:1].isupper() or ", " in text) and (title := _titled(text)):
+    if (text[:1].isupper() or _LIST.search(text)) and (title := _titled(text)):
         return title
+    if text.startswith("dtwin "):
+        # A command is the same in every language.
+        return text
     told = tell(text)
     # Names and numbers, or phrases of which every word is known.
     known = _are_names(text) or not {*_WORDS_OF.findall(text)} & {*_WORDS_OF.findall(told)}

@@ -7,12 +7,12 @@ from dataclasses import replace
 from typing import Any
 
 from dtwin.report.faults import with_k2
-from dtwin.report.html import Section, Table
+from dtwin.report.html import Part, Section, Table, told_section
 from dtwin.report.several import contradiction_lines
 from dtwin.report.text import micrometres, table
 from dtwin.report.twin_of_kind import report_of
 from dtwin.report.twin_plots import ranked_figure, waterfall_figure
-from dtwin.report.twins import history_text, number
+from dtwin.report.twins import history_table, number
 
 
 def twin_text(twin: Any) -> str:
@@ -46,11 +46,10 @@ def diagnosis_section(name: str, result: Mapping[str, Any]) -> Section:
     told = [("warning", line) for line in contradiction_lines(result)]
     return Section(
         "What is missing",
-        [],
+        [said for one in made for said in one.paragraphs],
         [*(finding for one in made for finding in one.findings), *told],
         [t for one in made for t in one.tables],
         [figure for one in made for figure in one.figures],
-        [code for one in made for code in one.code],
     )
 
 
@@ -131,22 +130,30 @@ def _as_text(shown: Table) -> str:
     return table(shown.head, shown.rows)
 
 
-def candidate_table(candidates: Sequence[Mapping[str, Any]]) -> list[str]:
+def candidate_table(candidates: Sequence[Mapping[str, Any]]) -> list[Table]:
     """Return the table of what may be missing; nothing for none."""
     rows = [
         (c["label"], f"{100 * c['cv_gain']:z.1f} %", f"{c['p_value']:.1g}", "yes" if c["in_group"] else "")
         for c in candidates
     ]
-    return [table(("effect", "gain held out", "p", "in group"), rows)] if rows else []
+    return [Table(("effect", "gain held out", "p", "in group"), rows)] if rows else []
 
 
-def missing_section(result: Mapping[str, Any], told: str, severity: str = "warning", said: str = "") -> Section:
-    """Return a diagnosis for a report; ``told``: its text for the terminal."""
+def missing_section(
+    result: Mapping[str, Any], told: Sequence[Part], severity: str = "warning", said: str = ""
+) -> Section:
+    """Return a diagnosis for a report; ``told``: what the terminal is told."""
     figures = [ranked_figure(result)] if result["candidates"] else []
-    return Section("What is missing", [], [(severity, said or result["headline"])], [], figures, [told])
+    headline = f"{result['verdict']}: {result['headline']}"
+    return told_section(
+        "What is missing",
+        [part for part in told if part != headline],
+        [(severity, said or result["headline"])],
+        figures,
+    )
 
 
 def history_section(rungs: Sequence[Mapping[str, Any]]) -> Section:
     """Return the versions of a twin for a report."""
     figure = waterfall_figure(rungs, begun="no effects")
-    return Section("From version to version", figures=[figure], code=[history_text(rungs)])
+    return told_section("From version to version", [history_table(rungs)], figures=[figure])

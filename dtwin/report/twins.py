@@ -15,8 +15,8 @@ from dtwin.physics.observations import Observations
 from dtwin.physics.twin import Twin, data_lines
 from dtwin.report.encoder_split import encoder_section, encoder_text, tells
 from dtwin.report.faults import faults, not_told, told_of, undecided_lines, with_k2
-from dtwin.report.html import Section, Table
-from dtwin.report.text import WIDE, listed, micrometres, table
+from dtwin.report.html import Part, Section, Table, parts_text, told_section
+from dtwin.report.text import listed, micrometres, table
 from dtwin.report.twin_plots import along_figure, overlay_figure, ranked_figure, residual_map, waterfall_figure
 from dtwin.schema import Floats
 from dtwin.statistics import deviation_interval
@@ -154,7 +154,12 @@ def comparison_text(result: Mapping[str, Any]) -> str:
 
 def diagnosis_text(name: str, result: Mapping[str, Any]) -> str:
     """Return a diagnosis for the terminal."""
-    lines = [
+    return parts_text(_diagnosis_parts(name, result))
+
+
+def _diagnosis_parts(name: str, result: Mapping[str, Any]) -> list[Part]:
+    """Return what a diagnosis tells, line by line."""
+    lines: list[Part] = [
         f"{result['verdict']}: {result['headline']}",
         f"residual {micrometres(result['residual_rms_um'])} µm RMS, repeats agree on "
         f"{number(result['systematic_rms_um'])} µm of it; noise floor "
@@ -184,10 +189,10 @@ def diagnosis_text(name: str, result: Mapping[str, Any]) -> str:
             )
             for c in result["candidates"]
         ]
-        lines.append(table(head, rows))
+        lines.append(Table(head, rows))
     shown = found_table(result)
     if shown.rows:
-        lines.append(table(shown.head, shown.rows, WIDE))
+        lines.append(shown)
     lines += _unresolved_lines(result)
     lines += [f"law: {law['equation']}" for law in result["laws"][:3]]
     lines += [
@@ -208,7 +213,7 @@ def diagnosis_text(name: str, result: Mapping[str, Any]) -> str:
     if result["next_experiment"]:
         lines.append(f"next: {result['next_experiment']['text']}")
     lines.append(_advice(name, result))
-    return "\n".join(lines)
+    return lines
 
 
 def left_of(diagnosis: Mapping[str, Any]) -> dict[str, float]:
@@ -263,6 +268,11 @@ def _unresolved_lines(result: Mapping[str, Any]) -> list[str]:
 
 def history_text(rungs: Sequence[Mapping[str, Any]]) -> str:
     """Return the rungs of a twin for the terminal."""
+    return parts_text([history_table(rungs)])
+
+
+def history_table(rungs: Sequence[Mapping[str, Any]]) -> Table:
+    """Return the rungs of a twin."""
     head = ("version", "action", "before, µm", "after, µm", "floor, µm", "verdict", "found")
     rows = [
         (
@@ -276,7 +286,7 @@ def history_text(rungs: Sequence[Mapping[str, Any]]) -> str:
         )
         for r in rungs
     ]
-    return table(head, rows, WIDE)
+    return Table(head, rows)
 
 
 def _first_of(groups: Sequence[Sequence[str]]) -> str:
@@ -323,12 +333,12 @@ def diagnosis_section(name: str, result: Mapping[str, Any]) -> Section:
     findings = [(_SEVERITY[result["verdict"]], f"{result['verdict']}: {result['headline']}")]
     findings += [("warning", line) for line in undecided_lines(result)]
     figures = [ranked_figure(result)] if result["candidates"] else []
-    return Section("What is missing", [], findings, [], figures, [diagnosis_text(name, result)])
+    return told_section("What is missing", _diagnosis_parts(name, result), findings, figures)
 
 
 def history_section(rungs: Sequence[Mapping[str, Any]]) -> Section:
     """Return how the error fell."""
-    return Section("From version to version", [], [], [], [waterfall_figure(rungs)], [history_text(rungs)])
+    return told_section("From version to version", [history_table(rungs)], figures=[waterfall_figure(rungs)])
 
 
 def twin_section(twin: Twin) -> Section:

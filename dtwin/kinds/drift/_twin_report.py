@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from dtwin.report.html import Section, Table
+from dtwin.report.html import Part, Section, Table, parts_text, told_section
 from dtwin.report.machine_twin import candidate_table, missing_section
 from dtwin.report.machine_twin import history_section as history_section
 from dtwin.report.text import decimals, micrometres, table, words_of
@@ -60,25 +60,33 @@ def twin_text(twin: DriftTwin) -> str:
 
 def comparison_text(result: Mapping[str, Any]) -> str:
     """Return a comparison for the terminal."""
+    return "\n".join(_compared(result))
+
+
+def _compared(result: Mapping[str, Any]) -> list[str]:
+    """Return what a comparison tells, line by line."""
     floor = result["noise_floor_um"]
-    return "\n".join(
-        [
-            f"twin {result['twin']} version {result['version']} against log {result['log']} of campaign "
-            f"{result['campaign']} ({result['runs']} readings)",
-            f"{micrometres(result['rms_before_um'])} -> {micrometres(result['residual_rms_um'])} µm RMS about the mean; "
-            + ("no repeats, no floor" if floor is None else f"noise of a reading {micrometres(floor)} µm"),
-            "worst:",
-            *(
-                f"  {w['from_h']:z.2f} to {w['to_h']:z.2f} h: {micrometres(w['residual_rms_um'])} µm"
-                for w in result["where"]
-            ),
-        ]
-    )
+    return [
+        f"twin {result['twin']} version {result['version']} against log {result['log']} of campaign "
+        f"{result['campaign']} ({result['runs']} readings)",
+        f"{micrometres(result['rms_before_um'])} -> {micrometres(result['residual_rms_um'])} µm RMS about the mean; "
+        + ("no repeats, no floor" if floor is None else f"noise of a reading {micrometres(floor)} µm"),
+        "worst:",
+        *(
+            f"  {w['from_h']:z.2f} to {w['to_h']:z.2f} h: {micrometres(w['residual_rms_um'])} µm"
+            for w in result["where"]
+        ),
+    ]
 
 
 def diagnosis_text(name: str, result: Mapping[str, Any]) -> str:
     """Return a diagnosis for the terminal."""
-    lines = [
+    return parts_text(_told(name, result))
+
+
+def _told(name: str, result: Mapping[str, Any]) -> list[Part]:
+    """Return what a diagnosis tells, line by line."""
+    lines: list[Part] = [
         f"{result['verdict']}: {result['headline']}",
         f"{micrometres(result['held_out_rms_um'])} µm RMS on times held out (unit of replication: the stretch of time)",
     ]
@@ -89,13 +97,13 @@ def diagnosis_text(name: str, result: Mapping[str, Any]) -> str:
         lines.append(f"next: {result['next_experiment']['text']}")
     best = next((c for c in result["candidates"] if c["in_group"]), None)
     if best is None:
-        return "\n".join([*lines, "nothing to add"])
-    return "\n".join([*lines, f"remedy: {best['remedy']}", f"try: dtwin twin add {name} {best['label']}"])
+        return [*lines, "nothing to add"]
+    return [*lines, f"remedy: {best['remedy']}", f"try: dtwin twin add {name} {best['label']}"]
 
 
 def diagnosis_section(name: str, result: Mapping[str, Any]) -> Section:
     """Return a diagnosis for a report."""
-    return missing_section(result, diagnosis_text(name, result))
+    return missing_section(result, _told(name, result))
 
 
 def twin_section(twin: DriftTwin) -> Section:
@@ -106,7 +114,7 @@ def twin_section(twin: DriftTwin) -> Section:
 def comparison_sections(found: DriftComparison | None, result: Mapping[str, Any]) -> list[Section]:
     """Return a comparison for a report; without ``found`` as text."""
     drawn = [] if found is None else _figures(found)
-    return [Section("Measured against predicted", code=[comparison_text(result)], figures=drawn)]
+    return [told_section("Measured against predicted", _compared(result), figures=drawn)]
 
 
 def _figures(found: DriftComparison) -> list[go.Figure]:

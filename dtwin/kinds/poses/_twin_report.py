@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from dtwin.report.html import Section, Table
+from dtwin.report.html import Part, Section, Table, parts_text, told_section
 from dtwin.report.machine_twin import candidate_table, missing_section
 from dtwin.report.machine_twin import history_section as history_section
 from dtwin.report.text import micrometres, table, words_of
@@ -49,23 +49,31 @@ def twin_text(twin: PoseTwin) -> str:
 
 def comparison_text(result: Mapping[str, Any]) -> str:
     """Return a comparison for the terminal."""
+    return "\n".join(_compared(result))
+
+
+def _compared(result: Mapping[str, Any]) -> list[str]:
+    """Return what a comparison tells, line by line."""
     floor = result["noise_floor_um"]
-    return "\n".join(
-        [
-            f"twin {result['twin']} version {result['version']} against campaign {result['campaign']} "
-            f"({result['runs']} readings)",
-            f"mean error {result['mean_before_mm']:z.4f} (frame and tool alone) -> {result['mean_after_mm']:z.4f} mm; "
-            + ("no repeats, no floor" if floor is None else f"scatter of repeats {floor:z.0f} µm"),
-            f"with frame and tool as they were fitted to the twin's own campaign: {result['mean_same_mounting_mm']:z.4f} mm",
-            "largest:",
-            *(f"  row {w['row']}, joints {w['joints_deg']} deg: {w['left_mm']:z.3f} mm" for w in result["where"]),
-        ]
-    )
+    return [
+        f"twin {result['twin']} version {result['version']} against campaign {result['campaign']} "
+        f"({result['runs']} readings)",
+        f"mean error {result['mean_before_mm']:z.4f} (frame and tool alone) -> {result['mean_after_mm']:z.4f} mm; "
+        + ("no repeats, no floor" if floor is None else f"scatter of repeats {floor:z.0f} µm"),
+        f"with frame and tool as they were fitted to the twin's own campaign: {result['mean_same_mounting_mm']:z.4f} mm",
+        "largest:",
+        *(f"  row {w['row']}, joints {w['joints_deg']} deg: {w['left_mm']:z.3f} mm" for w in result["where"]),
+    ]
 
 
 def diagnosis_text(name: str, result: Mapping[str, Any]) -> str:
     """Return a diagnosis for the terminal."""
-    lines = [
+    return parts_text(_told(name, result))
+
+
+def _told(name: str, result: Mapping[str, Any]) -> list[Part]:
+    """Return what a diagnosis tells, line by line."""
+    lines: list[Part] = [
         f"{result['verdict']}: {result['headline']}",
         f"{micrometres(result['held_out_rms_um'])} µm RMS on poses held out ({_UNIT})",
     ]
@@ -82,12 +90,12 @@ def diagnosis_text(name: str, result: Mapping[str, Any]) -> str:
     if result["next_experiment"]:
         lines.append(f"next: {result['next_experiment']['text']}")
     best = next((c for c in result["candidates"] if c["in_group"]), None)
-    return "\n".join([*lines, f"try: dtwin twin add {name} {best['label']}" if best else "nothing to add"])
+    return [*lines, f"try: dtwin twin add {name} {best['label']}" if best else "nothing to add"]
 
 
 def diagnosis_section(name: str, result: Mapping[str, Any]) -> Section:
     """Return a diagnosis for a report."""
-    return missing_section(result, diagnosis_text(name, result))
+    return missing_section(result, _told(name, result))
 
 
 def twin_section(twin: PoseTwin) -> Section:
@@ -98,7 +106,7 @@ def twin_section(twin: PoseTwin) -> Section:
 def comparison_sections(found: PoseComparison | None, result: Mapping[str, Any]) -> list[Section]:
     """Return a comparison for a report; without ``found`` as text."""
     drawn = [] if found is None else _figures(found)
-    return [Section("Measured against predicted", code=[comparison_text(result)], figures=drawn)]
+    return [told_section("Measured against predicted", _compared(result), figures=drawn)]
 
 
 def _figures(found: PoseComparison) -> list[go.Figure]:

@@ -16,7 +16,7 @@ from dtwin.kinds.volumetric._heat_series import body_of
 from dtwin.kinds.volumetric._movers import MATERIAL
 from dtwin.kinds.volumetric.heat_twin import HeatTwin
 from dtwin.kinds.volumetric.motions import FAMILIES, Family, family_of, motion_words
-from dtwin.report.html import Section, Table
+from dtwin.report.html import Part, Section, Table, parts_text
 from dtwin.report.machine_twin import history_section as history_section
 from dtwin.report.machine_twin import missing_section
 from dtwin.report.plots import COLOURS, draw_line, lacks_columns, places_figure, styled
@@ -80,7 +80,12 @@ def comparison_text(result: Mapping[str, Any]) -> str:
 
 def diagnosis_text(name: str, result: Mapping[str, Any]) -> str:
     """Return a diagnosis for the terminal."""
-    lines = [
+    return parts_text(_told(name, result))
+
+
+def _told(name: str, result: Mapping[str, Any]) -> list[Part]:
+    """Return what a diagnosis tells, line by line."""
+    lines: list[Part] = [
         f"{result['verdict']}: {result['headline']}",
         f"residual at the balls {micrometres(result['residual_rms_um'])} µm RMS, of which error "
         f"motions are {micrometres(result['systematic_rms_um'])} µm; noise floor "
@@ -100,7 +105,7 @@ def diagnosis_text(name: str, result: Mapping[str, Any]) -> str:
             )
             for c in result["candidates"]
         ]
-        lines.append(table(head, rows))
+        lines.append(Table(head, rows))
         now = result["residual_rms_um"]
         if any(c["add"] and c["rms_after_um"] > now for c in result["candidates"]):
             lines.append("more after than now: it offsets another at these balls until both are in")
@@ -116,7 +121,7 @@ def diagnosis_text(name: str, result: Mapping[str, Any]) -> str:
         lines.append(f"move, but by less than {100 * MATERIAL:z.0f} % of the floor: {', '.join(result['quiet'])}")
     if result["next_experiment"]:
         lines.append(f"next: {result['next_experiment']['text']}")
-    return "\n".join([*lines, *_advice(name, result)])
+    return [*lines, *_advice(name, result)]
 
 
 def comparison_sections(found: object, result: Mapping[str, Any]) -> list[Section]:
@@ -140,7 +145,7 @@ def comparison_sections(found: object, result: Mapping[str, Any]) -> list[Sectio
 def diagnosis_section(name: str, result: Mapping[str, Any]) -> Section:
     """Return what is missing."""
     severity = _SEVERITY.get(result["verdict"], "warning")
-    return missing_section(result, diagnosis_text(name, result), severity, f"{result['verdict']}: {result['headline']}")
+    return missing_section(result, _told(name, result), severity, f"{result['verdict']}: {result['headline']}")
 
 
 def twin_section(twin: HeatTwin) -> Section:

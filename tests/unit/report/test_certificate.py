@@ -28,9 +28,12 @@ from dtwin.physics import localise
 from dtwin.physics.library import Library
 from dtwin.pipeline.certificate import certificate, facts_of
 from dtwin.report.certificate import certificate_page
+from dtwin.report.html import page as page_of
+from dtwin.report.html import told_section
 from dtwin.report.language import _CLAUSES, _TITLES, Language, _german_of
 from dtwin.report.pdf import pdf_of
 from dtwin.report.twin_plots import residual_map
+from dtwin.report.twins import diagnosis_section, history_table
 from dtwin.schema import Run, RunMeta
 from dtwin.workbench import _pages
 from dtwin.workbench._access import Access
@@ -184,6 +187,46 @@ def test_every_effect_has_german_words() -> None:
     assert words.spoken("twin scale version 1 against campaign lead (2 runs)")[0] == (
         "Zwilling scale Version 1 gegen lead (2 Läufe)"
     )
+
+
+def test_what_a_diagnosis_tells_is_german_in_a_german_report() -> None:
+    play = {"effect": "backlash", "axis": "X", "rms_after_um": 0.5, "cv_gain": 0.4, "p_value": 1e-9, "in_group": True}
+    play |= {"grade": "law-confirmed", "remedy": "Preload or renew nut and bearings.", "separate_by": ""}
+    size = {"name": "play", "value": 3.1, "uncertainty": 0.2, "unit": "um", "identifiable": True}
+    more = {"sizes": [size], "size_um": 1.1, "tested": ["feed", "radius"], "untested": []}
+    rest = {"share": 0.3, "systematic_rms_um": 0.5, "p_value": 0.01, "words": "even in direction, harmonic 2 (99 %)"}
+    said = {
+        "verdict": "missing_effect",
+        "headline": "backlash X; friction X or squareness XY: odd in direction, harmonic 2 (70 %)",
+        "residual_rms_um": 1.2,
+        "systematic_rms_um": 1.1,
+        "noise_floor_um": 0.5,
+        "lack_of_fit_p": 0.0005,
+        "candidates": [play],
+        "found": [[play | more], [play | more]],
+        "unresolved": rest | {"where": []},
+        "laws": [],
+        "channels": [{"name": "bed_c", "share": 0.4, "p_value": 0.01}],
+        "outlier_runs": ["r001"],
+        "invisible": ["gravity_sag X"],
+        "untestable": {"angular_error X": "abbe_offset_mm was not logged"},
+        "undecided": [["backlash X", "friction X"]],
+        "next_experiment": None,
+        "closest": "",
+    }
+    rungs = [
+        {"version": 2, "action": "add backlash X", "verdict": "ambiguous", "found": [["backlash X"], ["friction X"]]}
+    ]
+    sizes = {"rms_before_um": 1.9, "rms_after_um": 0.5, "noise_floor_um": 0.5}
+    sections = [
+        diagnosis_section("a", said),
+        told_section("From version to version", [history_table([rungs[0] | sizes])]),
+    ]
+    page = page_of("a", "", sections, Language("de")).partition('<script type="application/gzip"')[0]
+    assert "<pre" not in page
+    assert re.findall('lang="en">([^<]*)', page) == []
+    for text in ("backlash X dazu", "Gewinn auf Ausgelassenem", "versuchen: dtwin twin add a backlash --axis X"):
+        assert text in page
 
 
 def test_every_translated_clause_is_said_somewhere() -> None:
