@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import hashlib
 import os
 import signal
 import socket
@@ -10,6 +11,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +32,18 @@ def process(pid: int | None = None) -> str:
         start = "0" if fields[0] in _ENDED else fields[19]
     except (OSError, IndexError):
         start = "0"
-    return f"{socket.gethostname().replace(' ', '-')} {number} {start}"
+    return f"{socket.gethostname().replace(' ', '-')}-{_computer()} {number} {start}"
+
+
+@cache
+def _computer() -> str:
+    """Return what tells this computer from another of the same name: of its installation, else of its start."""
+    for place in ("/etc/machine-id", "/proc/sys/kernel/random/boot_id"):
+        with suppress(OSError):
+            if told := Path(place).read_bytes().strip():
+                # It is nobody's business as it is.
+                return hashlib.sha256(told).hexdigest()[:8]
+    return ""
 
 
 def is_gone(stated: str) -> bool:

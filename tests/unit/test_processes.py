@@ -16,7 +16,7 @@ from dtwin.physics.library import Library
 from dtwin.processes import give_back_memory, is_gone, process
 
 
-def test_a_process_is_told_from_a_later_one_with_its_number() -> None:
+def test_a_process_is_told_from_a_later_one_with_its_number(monkeypatch: pytest.MonkeyPatch) -> None:
     mine = process()
     assert not is_gone(mine)
     host, number, start = mine.split()
@@ -24,6 +24,9 @@ def test_a_process_is_told_from_a_later_one_with_its_number() -> None:
     assert is_gone(f"{host} 4194305 17")
     assert not is_gone(f"elsewhere {number} 1")
     assert not is_gone("")
+    # Of another computer with the same name nothing is known.
+    monkeypatch.setattr("dtwin.processes._computer", lambda: "another")
+    assert not is_gone(f"{host} 4194305 17")
 
 
 _POOL = """
