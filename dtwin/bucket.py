@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import os
 import uuid
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from datetime import datetime, timedelta
-from functools import lru_cache
-from typing import TYPE_CHECKING, Any, NamedTuple
+from functools import lru_cache, partial
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 from dtwin.errors import InputError, StoreError
 from dtwin.home_file import Bucket
+from dtwin.processes import interruptible
 
 if TYPE_CHECKING:
     from obstore.store import S3Store
 
+_Answer = TypeVar("_Answer")
 # A request is tried again while a store is busy or away, but not for so long that nobody knows what goes on.
 _RETRIES, _RETRY_S, _REQUEST_S, _CONNECT_S = 8, 60, 60, 5
 _PROBES = "probe"
@@ -69,24 +71,24 @@ class Objects:
         """
         import obstore
 
-        with told(self.bucket, name, missing=True):
-            return bytes(obstore.get(self._store, name).bytes())
+        return self._ask(name, lambda: bytes(obstore.get(self._store, name).bytes()), missing=True)
 
     def tagged(self, name: str) -> tuple[bytes, str]:
         """Return the content of an object and its entity tag; raises as :meth:`read`."""
         import obstore
 
-        with told(self.bucket, name, missing=True):
-            answer = obstore.get(self._store, name)
-            return bytes(answer.bytes()), str(answer.meta["e_tag"])
+        def answer() -> tuple[bytes, str]:
+            found = obstore.get(self._store, name)
+            return bytes(found.bytes()), str(found.meta["e_tag"])
+
+        return self._ask(name, answer, missing=True)
 
     def has(self, name: str) -> bool:
         """Tell whether there is such an object."""
         import obstore
 
         try:
-            with told(self.bucket, name, missing=True):
-                obstore.head(self._store, name)
+            self._ask(name, lambda: obstore.head(self._store, name), missing=True)
         except FileNotFoundError:
             return False
         return True
@@ -96,8 +98,7 @@ class Objects:
         import obstore
 
         self.probe()
-        with told(self.bucket, name):
-            obstore.put(self._store, name, bytes(data))
+        self._ask(name, lambda: obstore.put(self._store, name, bytes(data)))
 
     def put_new(self, name: str, data: bytes | memoryview) -> str | None:
         """Write an object that is not there, and return its tag; None when it is there."""
@@ -113,9 +114,8 @@ class Objects:
         """Return the objects whose names begin with a folder, in order; only those that come after a name."""
         import obstore
 
-        with told(self.bucket, below):
-            pages = obstore.list(self._store, below or None, offset=after or None, chunk_size=1000)
-            rows = [row for chunk in pages for row in chunk]
+        pages = partial(obstore.list, self._store, below or None, offset=after or None, chunk_size=1000)
+        rows = self._ask(below, lambda: [row for chunk in pages() for row in chunk])
         return sorted(
             _Stored(str(row["path"]), int(row["size"]), str(row["e_tag"]), row["last_modified"]) for row in rows
         )
@@ -125,8 +125,7 @@ class Objects:
         import obstore
 
         if names:
-            with told(self.bucket, names[0]):
-                obstore.delete(self._store, list(names))
+            self._ask(names[0], lambda: obstore.delete(self._store, list(names)))
 
     def probe(self) -> None:
         """Try whether the store keeps what commits rest on: it must refuse to write over what is there, or has changed.
@@ -145,11 +144,18 @@ class Objects:
         import obstore
         from obstore.exceptions import AlreadyExistsError, PreconditionError
 
-        with told(self.bucket, name):
+        def write() -> str | None:
             try:
                 return str(obstore.put(self._store, name, bytes(data), mode=mode, use_multipart=False)["e_tag"])
             except (AlreadyExistsError, PreconditionError):
                 return None
+
+        return self._ask(name, write)
+
+    def _ask(self, name: str, call: Callable[[], _Answer], *, missing: bool = False) -> _Answer:
+        """Return what a call of the library returns, which does not hear Ctrl-C while it waits; see :func:`told`."""
+        with told(self.bucket, name, missing=missing):
+            return interruptible(call)
 
 
 @lru_cache(maxsize=8)

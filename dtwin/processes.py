@@ -9,12 +9,15 @@ import signal
 import socket
 import subprocess
 import sys
-from collections.abc import Iterator
+import threading
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future
 from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
+_Returned = TypeVar("_Returned")
 _ENDED = "ZX"
 _SET_SIGNAL_OF_PARENTS_END = 1
 
@@ -88,6 +91,22 @@ def end_with(parent: int) -> None:
         ctypes.CDLL(None).prctl(_SET_SIGNAL_OF_PARENTS_END, signal.SIGKILL, 0, 0, 0)
     if os.getppid() != parent:
         os._exit(1)
+
+
+def interruptible(call: Callable[[], _Returned]) -> _Returned:
+    """Return what a call returns; Ctrl-C does not wait for the end of one that waits outside of Python."""
+    if threading.current_thread() is not threading.main_thread():
+        return call()
+    done: Future[_Returned] = Future()
+
+    def work() -> None:
+        try:
+            done.set_result(call())
+        except BaseException as error:
+            done.set_exception(error)
+
+    threading.Thread(target=work, daemon=True).start()
+    return done.result()
 
 
 def processors() -> int:

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -13,7 +14,7 @@ import pytest
 from dtwin.physics import _kept_columns
 from dtwin.physics.effect import Instance
 from dtwin.physics.library import Library
-from dtwin.processes import give_back_memory, is_gone, process
+from dtwin.processes import give_back_memory, interruptible, is_gone, process
 
 
 def test_a_process_is_told_from_a_later_one_with_its_number(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -89,3 +90,21 @@ def test_columns_are_kept_up_to_so_many_bytes_and_the_newest_stay(monkeypatch: p
             assert kept is _kept_columns.kept_columns(instance, {}, condition, lambda: np.ones((360, 10)))
         # Three of 28.8 kB and what is told beside them.
         assert [key[-1] for key in _kept_columns._kept] == [17, 18, 19], times
+
+
+def test_ctrl_c_does_not_wait_for_a_call_that_does_not_hear_it() -> None:
+    """As of a store that took the connection and is frozen: its library waits outside of Python."""
+    waits = "import ctypes; from dtwin.processes import interruptible; print(1, flush=True); "
+    call = "interruptible(lambda: ctypes.CDLL(None).poll(None, 0, 3_600_000))"
+    with subprocess.Popen(
+        [sys.executable, "-c", waits + call], stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    ) as child:
+        assert child.stdout is not None
+        child.stdout.readline()
+        time.sleep(0.5)
+        child.send_signal(signal.SIGINT)
+        _, said = child.communicate(timeout=60.0)
+    assert b"KeyboardInterrupt" in said
+    assert interruptible(lambda: 3) == 3
+    with pytest.raises(KeyError):
+        interruptible(lambda: {}[1])
