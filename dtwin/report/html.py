@@ -54,6 +54,7 @@ button { font: inherit; padding: 8px 14px; }
 {% for table in section.tables %}<table><thead><tr>{% for cell in table.head %}<th scope="col">{{ words.cell(cell) }}</th>{% endfor %}</tr></thead>
 <tbody>{% for row in table.rows %}<tr>{% for cell in row %}<td>{{ words.cell(cell|string) }}</td>{% endfor %}</tr>{% endfor %}</tbody></table>{% endfor %}
 {% if section.figures %}<div{% if section.figures|length > 1 %} class="pair"{% endif %}>{% for figure in section.figures %}<div>{{ figure|safe }}</div>{% endfor %}</div>{% endif %}
+{% for text, spoken in section.details %}<p lang="{{ spoken }}">{{ text }}</p>{% endfor %}
 {% for text in section.code %}<pre lang="en">{{ text }}</pre>{% endfor %}
 </section>{% endfor %}
 {% if english %}<p class="note">{{ words.say("Notes are in English.") }}</p>{% endif %}
@@ -95,6 +96,7 @@ class Section:
 
     ``findings``, of (severity, text): shown in the colour of their severity.
     ``code``: shown as they are.
+    ``details``: paragraphs below all else.
     """
 
     title: str
@@ -103,6 +105,7 @@ class Section:
     tables: Sequence[Table] = ()
     figures: Sequence[go.Figure] = ()
     code: Sequence[str] = field(default_factory=tuple)
+    details: Sequence[str] = ()
 
 
 def told_section(
@@ -112,7 +115,7 @@ def told_section(
     parts, said = list(parts), {text for _, text in findings}
     lines = [line.strip() for part in parts if isinstance(part, str) for line in part.split("\n")]
     tables = [part for part in parts if isinstance(part, Table)]
-    return Section(title, [line for line in lines if line not in said], findings, tables, figures)
+    return Section(title, [], findings, tables, figures, details=[line for line in lines if line not in said])
 
 
 def page(title: str, subtitle: str, sections: Sequence[Section], words: Language | None = None) -> str:
@@ -123,7 +126,8 @@ def page(title: str, subtitle: str, sections: Sequence[Section], words: Language
     words = words or Language()
 
     def spoken(section: Section) -> set[str]:
-        return {words.read(text)[1] for text in (*section.paragraphs, *(said for _, said in section.findings))}
+        texts = (*section.paragraphs, *section.details, *(said for _, said in section.findings))
+        return {words.read(text)[1] for text in texts}
 
     rendered = [
         {
@@ -133,6 +137,7 @@ def page(title: str, subtitle: str, sections: Sequence[Section], words: Language
             "tables": s.tables,
             "figures": [figure_html(told_figure(figure, words.drawn, words.point)) for figure in s.figures],
             "code": s.code,
+            "details": [words.read(text) for text in s.details],
         }
         for s in sections
     ]

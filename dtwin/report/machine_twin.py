@@ -46,10 +46,11 @@ def diagnosis_section(name: str, result: Mapping[str, Any]) -> Section:
     told = [("warning", line) for line in contradiction_lines(result)]
     return Section(
         "What is missing",
-        [said for one in made for said in one.paragraphs],
+        [],
         [*(finding for one in made for finding in one.findings), *told],
         [t for one in made for t in one.tables],
         [figure for one in made for figure in one.figures],
+        details=[said for one in made for said in one.details],
     )
 
 

@@ -44,9 +44,7 @@ def diagnosis_section(name: str, result: Mapping[str, Any]) -> Section:
     made = twins.diagnosis_section(name, result)
     told = [("warning", line) for line in contradiction_lines(result)]
     told += [("info", line) for line in (*_explanation_lines(result), *_settled_lines(result))]
-    return Section(
-        made.title, made.paragraphs, [*made.findings, *told], [*made.tables, _said_table(result)], made.figures
-    )
+    return replace(made, findings=[*made.findings, *told], tables=[*made.tables, _said_table(result)])
 
 
 def twin_section(twin: SeveralTwin) -> Section:

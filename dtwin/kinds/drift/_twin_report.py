@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from dtwin.report.html import Part, Section, Table, parts_text, told_section
+from dtwin.report.html import Part, Section, Table, parts_text
 from dtwin.report.machine_twin import candidate_table, missing_section
 from dtwin.report.machine_twin import history_section as history_section
 from dtwin.report.text import decimals, micrometres, table, words_of
@@ -114,7 +114,7 @@ def twin_section(twin: DriftTwin) -> Section:
 def comparison_sections(found: DriftComparison | None, result: Mapping[str, Any]) -> list[Section]:
     """Return a comparison for a report; without ``found`` as text."""
     drawn = [] if found is None else _figures(found)
-    return [told_section("Measured against predicted", _compared(result), figures=drawn)]
+    return [Section("Measured against predicted", [line.strip() for line in _compared(result)], figures=drawn)]
 
 
 def _figures(found: DriftComparison) -> list[go.Figure]:

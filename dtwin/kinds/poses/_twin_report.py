@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from dtwin.report.html import Part, Section, Table, parts_text, told_section
+from dtwin.report.html import Part, Section, Table, parts_text
 from dtwin.report.machine_twin import candidate_table, missing_section
 from dtwin.report.machine_twin import history_section as history_section
 from dtwin.report.text import micrometres, table, words_of
@@ -106,7 +106,7 @@ def twin_section(twin: PoseTwin) -> Section:
 def comparison_sections(found: PoseComparison | None, result: Mapping[str, Any]) -> list[Section]:
     """Return a comparison for a report; without ``found`` as text."""
     drawn = [] if found is None else _figures(found)
-    return [told_section("Measured against predicted", _compared(result), figures=drawn)]
+    return [Section("Measured against predicted", [line.strip() for line in _compared(result)], figures=drawn)]
 
 
 def _figures(found: PoseComparison) -> list[go.Figure]:
