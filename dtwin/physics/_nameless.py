@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from dtwin.physics._dictionary import Dictionary
+from dtwin.physics._dictionary import Dictionary, Entry, dictionary_for
 from dtwin.physics._hunt import Hunt
 from dtwin.physics._law_search import LawKey, law_keys
 from dtwin.physics._local_laws import MOST_TARGETS, local_laws
@@ -16,8 +16,11 @@ from dtwin.physics.effect import Instance
 from dtwin.physics.learned import law_size, learned_effect, name_of
 from dtwin.physics.learned_places import LEARNED
 from dtwin.physics.problem import INVISIBLE, Problem, Term, orthonormal, squares
+from dtwin.physics.whitening import harmonic_numbers
 from dtwin.schema import Floats
 
+# Numbers of a law: cosine and sine of one harmonic.
+_OF_A_LAW = 2
 # Of what the library alone leaves, by laws of one place beside it.
 _CLEARLY = 0.5
 
@@ -44,20 +47,37 @@ def simpler_law(problem: Problem, candidates: Candidates, found: Sequence[Term])
 
     ``problem``: whitened campaign with what the twin knows.
     """
-    laws = Dictionary(problem, candidates.only(_offered(problem, candidates)))
-    many = len(laws.entries)
-    chosen = laws.add(found)
-    all_explain, best = laws.explained(chosen), None
-    for dropped in itertools.chain.from_iterable(itertools.combinations(chosen, n) for n in (1, 2)):
-        rest = [entry for entry in chosen if entry not in dropped]
-        gains = np.where(
-            [e.free < sum(d.free for d in dropped) for e in laws.entries[:many]], laws.gains(rest)[:many], 0.0
-        )
-        number = int(np.argmax(gains))
-        explain = laws.explained(rest) + float(gains[number])
-        if explain > all_explain:
-            all_explain, best = explain, (laws.entries[number], rest)
-    return ([], []) if best is None else ([best[0].term], [entry.term for entry in best[1]])
+    few = dictionary_for(problem, found)
+    chosen = few.add(found)
+    all_explain, best = few.explained(chosen), None
+    # Most effects have more harmonics than one law: no law needs to be tried in their place.
+    rests = [rest for rest in _with_two_less(chosen) if few.explained(rest) + _in_one_harmonic(few, rest) > all_explain]
+    if not rests:
+        return [], []
+    differ = [t.instance for t in found if not candidates.obs.is_alike_in_repeats(t.instance)]
+    laws = Dictionary(problem, candidates.only([*differ, *_offered(problem, candidates)]))
+    numbers = [n for n, entry in enumerate(laws.entries) if entry.term.instance.effect.source == LEARNED]
+    there = {entry.label: entry for entry in laws.add(found)}
+    for rest in rests:
+        beside = [there[entry.label] for entry in rest if entry.label in there]
+        gains = laws.gains(beside)
+        number = max(numbers, key=gains.__getitem__, default=None)
+        if number is not None and (explain := laws.explained(beside) + float(gains[number])) > all_explain:
+            all_explain, best = explain, ([laws.entries[number].term], [entry.term for entry in beside])
+    return best or ([], [])
+
+
+def _with_two_less(chosen: Sequence[Entry]) -> list[list[Entry]]:
+    """Return a set without each one and each two effects that have more numbers than a law has."""
+    dropped = [d for n in (1, 2) for d in itertools.combinations(chosen, n) if sum(e.free for e in d) > _OF_A_LAW]
+    return [[entry for entry in chosen if entry not in d] for d in dropped]
+
+
+def _in_one_harmonic(dictionary: Dictionary, chosen: Sequence[Entry]) -> float:
+    """Return the most that a set leaves in one harmonic, as a sum of squares."""
+    obs = dictionary.problem.obs
+    left = (dictionary.problem.residual.ravel() - dictionary.fitted(chosen)).reshape(obs.n_rows, obs.n_bins)
+    return float(np.bincount(harmonic_numbers(obs.n_bins), (left**2).sum(axis=0)).max())
 
 
 def local(problem: Problem, candidates: Candidates) -> list[Term]:
