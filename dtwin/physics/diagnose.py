@@ -120,12 +120,13 @@ def diagnose(obs: Observations, known: Sequence[Term], library: Mapping[str, Eff
         return other if other.found else concluded(first, first, places, none=True)
     left = answer.unresolved
     much = left is not None and left.share >= _UNKNOWN**2
-    plain = unweighted(obs, known)
-    curves = curves_left(answer, first, plain, candidates) if much else []
-    beside_curves = [searched(problem, known, curve=curve) for curve in curves]
-    if beside_curves:
-        others = [concluded(other, first) for other in beside_curves]
-        return joined(answer, others, [first, *beside_curves], plain, candidates)
+    if much:
+        plain = unweighted(obs, known)
+        curves = curves_left(answer, first, plain, candidates)
+        beside_curves = [searched(problem, known, curve=curve) for curve in curves]
+        if beside_curves:
+            others = [concluded(other, first) for other in beside_curves]
+            return joined(answer, others, [first, *beside_curves], plain, candidates)
     if not answer.found or not _has_laws(obs):
         return answer
     believed = frozenset(group[0].label for group in answer.found)
