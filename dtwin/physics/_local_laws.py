@@ -1,4 +1,4 @@
-"""What is unknown along an axis, as laws without a name: a step, late on the way back, or a bump, at one place."""
+"""What is unknown along an axis, as laws without a name: a step, late on the way back, a bump, or growth towards an end."""
 
 from __future__ import annotations
 
@@ -9,13 +9,15 @@ import numpy as np
 
 from dtwin.physics.candidates import Candidates
 from dtwin.physics.effect import Instance
-from dtwin.physics.learned_places import BUMP, LATE, PLACE, REACH, STEP
+from dtwin.physics.learned_places import BUMP, END, LATE, PLACE, REACH, STEP
 from dtwin.physics.observations import Observations
 from dtwin.physics.problem import Problem, Term
 from dtwin.units import shown_number
 
 # Reaches of a bump as shares of the travel; it falls to nothing there.
 _REACHES = (0.04, 0.08, 0.15, 0.3)
+# What grows towards an end, as shares in which it falls to a third.
+_TO_AN_END = (0.05, 0.1, 0.2)
 # A step is late on the way back by so much of the travel at most.
 _LATEST = 0.25
 # Of more targets not every one is tried on the way back.
@@ -25,7 +27,7 @@ MOST_TARGETS = 150
 
 
 def local_laws(obs: Observations) -> list[Instance]:
-    """Return the laws that an axis may follow, each at every place among its targets."""
+    """Return the laws that an axis may follow, those of a place at every one among its targets."""
     at_mm = np.unique(obs.grid.points)
     shares = (at_mm - at_mm[0]) / float(np.ptp(at_mm))
     between = (0.5 * (shares[1:] + shares[:-1])).tolist()
@@ -40,7 +42,9 @@ def local_laws(obs: Observations) -> list[Instance]:
     reaches = tuple(max(r, 1.5 * gap) for r in _REACHES)
     everywhere = replace(middle, grid=tuple(shares.tolist()))
     bump = replace(BUMP, shapes=(everywhere, replace(reach, grid=reaches, limits=(gap, 1.0))))
-    return [Instance(law, obs.axes[0]) for law in (step, bump)]
+    at, within = END.shapes
+    end = replace(END, shapes=(replace(at, grid=(0.0, 1.0)), replace(within, grid=_TO_AN_END, limits=(gap / 2.0, 1.0))))
+    return [Instance(law, obs.axes[0]) for law in (step, bump, end)]
 
 
 def laws_in_words(
@@ -65,6 +69,8 @@ def laws_in_words(
 def _said(law: Term, size_um: float, start_mm: float, travel_mm: float) -> str:
     place, late = law.shape[PLACE], law.shape.get(LATE, 0.0)
     at = f"of {shown_number(size_um, 2)} µm at {start_mm + place * travel_mm:z.0f} mm"
+    if law.instance.effect.name == END.name:
+        return f"a growth towards an end {at}, which falls to a third within {law.shape[REACH] * travel_mm:z.0f} mm"
     if wide := law.shape.get(REACH):
         return f"a bump {at}, {wide * travel_mm:z.0f} mm wide at half its height"
     back = f", on the way back at {start_mm + (place - late) * travel_mm:z.0f} mm"

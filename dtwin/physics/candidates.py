@@ -24,6 +24,8 @@ from dtwin.physics.whitening import from_harmonics
 from dtwin.schema import Floats
 
 _PITCH_MM = (2.0, 60.0)
+# Along an axis: the graduation of a magnetic or inductive scale; screws turn once in at most so many millimetres.
+_SHORTEST_MM, _SCREW_MM = 0.9, 40.0
 # Steps between targets that differ by less, as a share of their mean, are equal.
 _EVEN = 0.2
 # How often the best of all lengths may fit by chance; numbers of a mean, a wave and its length.
@@ -241,7 +243,7 @@ def _peaks(rate: Floats, power: Floats, n: int) -> list[float]:
 def _pitches_along(obs: Observations, um: Floats, n: int) -> list[float]:
     """Return the same of targets along an axis, none where they stand at equal distances: there a wave is another as well.
 
-    Nor of runs one way only, nor longer than targets resolve: that is a pitch error. Of many lengths one fits any
+    Nor of runs one way only, nor longer than any screw's pitch: that is a pitch error. Of many lengths one fits any
     targets: it must explain more than the best would by chance once in a hundred. What turns with a screw of a stated
     pitch is an effect of its own.
     """
@@ -249,7 +251,7 @@ def _pitches_along(obs: Observations, um: Floats, n: int) -> list[float]:
     steps_mm = np.diff(np.sort(at_mm))
     if not obs.there_and_back or np.ptp(steps_mm) < _EVEN * steps_mm.mean():
         return []
-    rate = np.arange(1.0 / travel_mm, 1.0 / _PITCH_MM[0], 1.0 / (8.0 * travel_mm))
+    rate = np.arange(1.0 / travel_mm, 1.0 / _SHORTEST_MM, 1.0 / (8.0 * travel_mm))
     mean = (um * obs.mask).sum(axis=0)
     power = np.abs((mean - mean.mean()) @ np.exp(-2j * np.pi * np.outer(at_mm, rate)))
     resolved = rate < 1.0 / (_RESOLVED * steps_mm.mean())
@@ -259,10 +261,14 @@ def _pitches_along(obs: Observations, um: Floats, n: int) -> list[float]:
     if isinstance(stated_mm, int | float) and stated_mm > 0.0:
         turns = np.arange(1, ORDERS + 1) / stated_mm
         power[(np.abs(rate[:, None] - turns) < 1.0 / travel_mm).any(axis=1)] = 0.0
-    found = _peaks(rate[~resolved], power[~resolved], n)
     chance = (_BY_CHANCE / independent_pitches(obs)) ** (2.0 / max(len(at_mm) - _WAVE, 1))
-    least = 1.0 - min(chance, _CLEARLY * (1.0 - longer))
-    return [pitch for pitch in found if _explained(mean, at_mm / pitch) > least]
+    may_leave = {True: chance, False: min(chance, _CLEARLY * (1.0 - longer))}
+    found: dict[float, float] = {}
+    for part, left in may_leave.items():
+        here = (resolved == part) & (rate > 1.0 / _SCREW_MM)
+        explained = {mm: _explained(mean, at_mm / mm) for mm in _peaks(rate[here], power[here], n)}
+        found |= {mm: share for mm, share in explained.items() if share > 1.0 - left}
+    return sorted(found, key=found.__getitem__, reverse=True)[:n]
 
 
 def _explained(um: Floats, turns: Floats) -> float:
@@ -299,7 +305,7 @@ def _pitch_rates(obs: Observations) -> Floats:
 def independent_pitches(obs: Observations) -> float:
     """Return how many pitches the runs tell apart."""
     if obs.grid is not CIRCLE:
-        return float(np.ptp(obs.grid.points)) * (1.0 / _PITCH_MM[0] - 1.0 / _PITCH_MM[1])
+        return float(np.ptp(obs.grid.points)) * (1.0 / _SHORTEST_MM - 1.0 / _PITCH_MM[1])
     largest = max(c.radius_mm for c in obs.conditions)
     return 2.0 * largest * (1.0 / _PITCH_MM[0] - 1.0 / _PITCH_MM[1])
 

@@ -1,4 +1,4 @@
-"""Provisional effects of what happens at one place of an axis: a step and a bump."""
+"""Provisional effects of what happens at one place of an axis: a step, a bump, and what grows towards an end."""
 
 from __future__ import annotations
 
@@ -25,6 +25,10 @@ def _bump(share: Floats, velocity_mm_s: Floats, shape: Shape) -> Floats:
     return np.asarray(0.5 * (1.0 + np.cos(np.pi * np.clip(off, 0.0, 1.0))))
 
 
+def _growth(share: Floats, velocity_mm_s: Floats, shape: Shape) -> Floats:
+    return np.asarray(np.exp(-np.abs(share - shape[PLACE]) / shape[REACH]))
+
+
 def _along_travel(form: _Form) -> Callable[[State, str, Shape], Floats]:
     def columns(state: State, axis: str, shape: Shape) -> Floats:
         if not moves(state, axis):
@@ -37,10 +41,12 @@ def _along_travel(form: _Form) -> Callable[[State, str, Shape], Floats]:
 
 
 def _effect(
-    name: str, title: str, form: _Form, law: Law, formula: str, looks_like: str, shape: ShapeParameter
+    name: str, title: str, form: _Form, law: Law, formula: str, looks_like: str, shape: ShapeParameter, *, placed: bool
 ) -> Effect:
-    """Return an effect at a place, which a diagnosis finds among the targets; ``shape``: what else it has."""
-    refined = shape.refined
+    """Return an effect at a place, which a diagnosis finds among the targets.
+
+    ``shape``: what else it has; ``placed``: its place is refined between them.
+    """
     return Effect(
         name=name,
         title=f"Learned: {title}",
@@ -54,7 +60,7 @@ def _effect(
         remedy="Look for what is there: a joint of scale or rack, dirt, a dent, a cover or a door that catches.",
         reference="Learned from the residual of this twin; provisional.",
         kinds=("linear",),
-        shapes=(ShapeParameter(PLACE, "1", 0.5, (0.5,), (0.0, 1.0), refined=refined), shape),
+        shapes=(ShapeParameter(PLACE, "1", 0.5, (0.5,), (0.0, 1.0), refined=placed), shape),
         source=LEARNED,
     )
 
@@ -67,6 +73,7 @@ STEP = _effect(
     "A beyond x0, on the way back beyond x0 - l",
     "The error jumps where the axis passes one place, on the way back perhaps at another one.",
     ShapeParameter(LATE, "1", 0.0, (0.0,), (0.0, 1.0), refined=False),
+    placed=False,
 )
 BUMP = _effect(
     "learned_bump",
@@ -76,5 +83,16 @@ BUMP = _effect(
     "A (1 + cos(pi (x - x0) / w)) / 2 within w of x0",
     "The error is off about one place, the same both ways.",
     ShapeParameter(REACH, "1", 0.1, (0.1,), (0.001, 1.0)),
+    placed=True,
 )
-PLACES: Mapping[str, Effect] = {effect.name: effect for effect in (STEP, BUMP)}
+END = _effect(
+    "learned_end",
+    "growth towards an end",
+    _growth,
+    Law(0.0, None, "even"),
+    "A exp(-abs(x - x0) / w), x0 one end of the travel",
+    "The error grows towards one end of the travel, the same both ways: a hose that tightens, a cover that is pushed together.",
+    ShapeParameter(REACH, "1", 0.1, (0.1,), (0.001, 1.0)),
+    placed=False,
+)
+PLACES: Mapping[str, Effect] = {effect.name: effect for effect in (STEP, BUMP, END)}

@@ -33,6 +33,7 @@ _OWN = frozenset(
         "warming_growth",
         "instrument_artefact",
         "learned_bump",
+        "learned_end",
         "learned_step",
         "measurement_delay",
         "slow_take_up",

@@ -280,18 +280,27 @@ def test_wear_with_soft_ends_is_wear_and_nothing_else() -> None:
     assert [[s.label for s in group] for group in found.found] == [["worn_screw X"]]
 
 
-@pytest.mark.parametrize("seed", [0, 2])
-def test_a_wave_of_a_screw_of_no_stated_pitch_is_found_and_is_no_pitch_error(seed: int) -> None:
-    # Twenty targets, moved aside at random: a curve is drawn through the waves, and foretells none of them.
+@pytest.mark.parametrize(
+    ("pitch_mm", "targets", "seed"),
+    [
+        pytest.param(12.0, 20, 0, id="a screw"),
+        pytest.param(12.0, 20, 2, id="a screw, other targets"),
+        pytest.param(2.0, 30, 0, id="a graduation of the scale"),
+        pytest.param(20.0, 80, 0, id="a screw with several targets in a turn"),
+    ],
+)
+def test_a_wave_of_no_stated_length_is_found_and_is_no_pitch_error(pitch_mm: float, targets: int, seed: int) -> None:
+    # Targets moved aside at random: a curve is drawn through the waves, and foretells none of them.
     rng = np.random.default_rng(seed)
-    at = np.linspace(0.0, 500.0, 20) + rng.uniform(-8.0, 8.0, 20)
-    wave = 2.0 * np.cos(2.0 * np.pi * at / 12.0 + seed)
+    aside_mm = 160.0 / targets
+    at = np.linspace(0.0, 500.0, targets) + rng.uniform(-aside_mm, aside_mm, targets)
+    wave = 2.0 * np.cos(2.0 * np.pi * at / pitch_mm + seed)
     play = np.array([[-1.5], [1.5]])
     found = diagnose(campaign(wave + play, rng, 0.2, at), [], LIBRARY)
     named = {group[0].label: group[0] for group in found.found}
     assert set(named) == {"backlash X", "periodic_error X"}
-    assert named["periodic_error X"].shape["pitch_mm"] == pytest.approx(12.0, rel=0.01)
-    even = diagnose(campaign(wave + play, rng, 0.2, np.linspace(0.0, 500.0, 20)), [], LIBRARY)
+    assert named["periodic_error X"].shape["pitch_mm"] == pytest.approx(pitch_mm, rel=0.01)
+    even = diagnose(campaign(wave + play, rng, 0.2, np.linspace(0.0, 500.0, targets)), [], LIBRARY)
     assert "periodic_error X" not in {s.label for group in even.found for s in group}
 
 
@@ -304,3 +313,12 @@ def test_lost_motion_that_is_taken_up_late_is_that_and_the_backlash_has_its_size
     assert named["backlash X"].sizes[0].value == pytest.approx(9.0, abs=0.2)
     assert named["slow_take_up X"].sizes[0].value == pytest.approx(18.0 * np.exp(-0.5 / 8.0), abs=1.5)
     assert named["slow_take_up X"].shape["way_mm"] == pytest.approx(8.0, rel=0.2)
+
+
+def test_a_hose_that_turns_round_and_tightens_towards_an_end_is_no_wear_and_no_lead_error() -> None:
+    way, since = np.array([[1.0], [-1.0]]), np.stack([AT_MM - AT_MM[0], AT_MM[-1] - AT_MM]) + 5.0
+    pull = -4.0 * way * (1.0 - 2.0 * np.exp(-since / 60.0)) - 6.0 * np.maximum(0.0, 1.0 - (1.0 - SHARE) / 0.4) ** 5
+    found = diagnose(campaign(pull, np.random.default_rng(5)), [], LIBRARY)
+    assert {group[0].label for group in found.found} == {"backlash X", "slow_take_up X"}
+    assert [place["effect"] for place in found.places] == ["learned_end"]
+    assert "a growth towards an end of -5.6 µm at 640 mm" in found.headline
