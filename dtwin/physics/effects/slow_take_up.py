@@ -41,7 +41,7 @@ EFFECT = Effect(
     remedy="Lengthen the overrun; look for what gives or drags: preload of nut and bearings, friction of the guideway, seals, hoses.",
     reference="ISO 230-2",
     kinds=("linear",),
-    shapes=(ShapeParameter("way_mm", "mm", 5.0, (3.0, 10.0, 35.0, 120.0), (0.5, 300.0), vanishes=True),),
+    shapes=(ShapeParameter("way_mm", "mm", 5.0, (3.0, 10.0, 35.0, 120.0), (0.5, 300.0), ends=True, vanishes=True),),
     confusables=("backlash", "backlash_taper", "worn_screw", "lead_error"),
     special_cases=("lead_error",),
 )
