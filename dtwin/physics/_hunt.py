@@ -13,6 +13,7 @@ from dtwin.physics._dictionary import PITCH, Dictionary, Entry, is_periodic
 from dtwin.physics._shapes import refined
 from dtwin.physics.candidates import Candidates
 from dtwin.physics.learned_places import LEARNED
+from dtwin.physics.plausible import at_its_end
 from dtwin.physics.problem import Problem, Term
 
 # An effect must explain this share of what is left beyond noise, which may be misfit.
@@ -92,7 +93,7 @@ class Hunt:
                 break
             best, least = chosen, cost
         best = self.without_bends(best)
-        if impossible := {entry.label for entry in best if self._is_negative(entry, best)}:
+        if impossible := {entry.label for entry in best if self._is_impossible(entry, best)}:
             return self._without(impossible, start, best)
         return best
 
@@ -107,8 +108,10 @@ class Hunt:
         # On one circle a bend is the oval of many effects, and an oval that is missed may cost more than a name.
         return best if self._on_one_circle and self.left(other) > most else other
 
-    def _is_negative(self, entry: Entry, chosen: Sequence[Entry]) -> bool:
-        """Tell whether a set needs a number below zero that cannot be there, as a compliance."""
+    def _is_impossible(self, entry: Entry, chosen: Sequence[Entry]) -> bool:
+        """Tell whether a set needs a number below zero that cannot be there, as a compliance, or along an axis a shape at its end."""
+        if self.dictionary.problem.obs.there_and_back and at_its_end(entry.term):
+            return True
         parameters = entry.term.instance.effect.parameters
         if len(parameters) != entry.width:
             return False
