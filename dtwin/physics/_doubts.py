@@ -27,6 +27,8 @@ _VAGUE = 0.3
 _DWARFED = 0.4
 # So much of what is left of conditions left out an effect foretells that is no part of something larger.
 _FORETOLD = 0.4
+# The shape of a wave of any length.
+_WAVE = "wave_mm"
 # What has less of its size left without what is withdrawn makes up for that.
 _ALONE = 0.5
 # A curve of so many numbers that is less than so many times what is left may follow that.
@@ -107,21 +109,22 @@ def without_dwarfed(kept: Sequence[Found], bare: Problem, candidates: Candidates
     """Return the effects without those of the place that are small beside what is not resolved, and foretell little of it.
 
     A cable that pulls by the place is a curve of which a small straightness, pitch error or play takes its part. What has other
-    harmonics is no part of it.
+    harmonics is no part of it. A wave of any length is drawn through all that comes back at the same place, and foretells it.
 
     ``bare``: the campaign without weights, with what is known.
     """
     obs = bare.obs
     left = localise.in_angle(candidates.given(bare, [f.top.term for f in kept]))
-    least_um = _DWARFED * localise.systematic_rms_um(obs, left)
+    left_um = localise.systematic_rms_um(obs, left)
     means = localise.condition_means(obs, left)
-    return [
-        f
-        for f in kept
-        if f.gain >= _FORETOLD
-        or f.top.term.instance.effect.law.feed != 0.0
-        or f.size_um >= least_um * alike_in_harmonics(f, means, obs)
-    ]
+
+    def is_dwarfed(f: Found) -> bool:
+        free = _WAVE in f.top.term.shape
+        if f.top.term.instance.effect.law.feed != 0.0 or (f.gain >= _FORETOLD and not free):
+            return False
+        return f.size_um < (1.0 if free else _DWARFED) * left_um * alike_in_harmonics(f, means, obs)
+
+    return [f for f in kept if not is_dwarfed(f)]
 
 
 def hidden_by(doubts: Sequence[Found], found: Search, tests: Tests) -> list[Found]:
@@ -190,7 +193,7 @@ def _is_half_of_lobes(wave: Found, others: Sequence[Found], made_um: float) -> b
 def _length_mm(effect: Found) -> float:
     """Return the length of the wave that an effect is, 0 for others."""
     shape = effect.top.term.shape
-    return next((float(shape[name]) for name in ("wave_mm", PITCH) if name in shape), 0.0)
+    return next((float(shape[name]) for name in (_WAVE, PITCH) if name in shape), 0.0)
 
 
 def _is_weak(effect: Found, tests: Sequence[LawTest], found: Search) -> bool:

@@ -37,6 +37,6 @@ def test_what_is_a_small_part_of_something_unknown_has_no_name() -> None:
     found = diagnose(observe(made.campaign(), runs), [], Library())
     named = {s.label for group in found.found for s in group}
     # What follows the place of X alone is a curve of its guideway, whatever makes it.
-    assert {"backlash X"} <= named <= {"backlash X", "squareness XY", "guideway_shape X", "guideway_wave X"}
+    assert {"backlash X"} <= named <= {"backlash X", "squareness XY", "guideway_shape X"}
     assert found.unresolved is not None
     assert found.unresolved.systematic_rms_um > 1.0
