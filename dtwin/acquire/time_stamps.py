@@ -214,3 +214,11 @@ def clock_of(
     # Day and time may stand apart.
     cells = [" ".join(row[n].strip() for n in stamped) for row in body]
     return times_of_cells(cells, 1.0, where, " ".join(heads[n] for n in stamped), stamps=True)
+
+
+def newest_first(t_s: Floats | None) -> bool:
+    """Return whether rows stand in the opposite order of their times, as loggers that show the newest reading first write them."""
+    if t_s is None:
+        return False
+    there = t_s[np.isfinite(t_s)]
+    return there.size > 1 and bool(there[0] > there[-1])

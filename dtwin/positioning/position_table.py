@@ -30,6 +30,7 @@ from dtwin.acquire.repeated_heads import require_one_block
 from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
 from dtwin.acquire.spreadsheet import first_text, has_other_axes, table_bytes
 from dtwin.acquire.table_dialect import SUMMARY, decoded, remarks_of, rows_of
+from dtwin.acquire.time_stamps import clock_of, newest_first
 from dtwin.acquire.xmlsafe import number_or_none
 from dtwin.errors import InputError
 from dtwin.positioning._angles import angles_as_targets, names_angles, of_angles, tells_angles, with_degrees
@@ -298,6 +299,8 @@ def _from_wide(rows: Sequence[Sequence[str]], wide: Wide, path: Path, scale: Sca
 
 def _from_long(rows: Sequence[Sequence[str]], long: Long, path: Path, scale: Scale) -> list[Reading]:
     heads, units, body = _parted(rows, long.target, path)
+    if newest_first(clock_of(heads, units, body, str(path))):
+        body = body[::-1]
     long = replace(long, cycle=_not_counting(long.cycle, long.target, body))
     below = [units[i] if units is not None and i < len(units) else "" for i in (long.target, long.value)]
     factors = (_factor(heads[long.target], below[0], path, scale), _factor(heads[long.value], below[1], path, scale))

@@ -32,7 +32,7 @@ from dtwin.acquire.repeated_heads import require_one_block
 from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
 from dtwin.acquire.spreadsheet import first_rows, table_bytes
 from dtwin.acquire.table_dialect import decoded, remarks_of, rows_of
-from dtwin.acquire.time_stamps import FORM, FORMS, numbers_of, of_stamps, times_of_cells
+from dtwin.acquire.time_stamps import FORM, FORMS, newest_first, numbers_of, of_stamps, times_of_cells
 from dtwin.acquire.xmlsafe import number_or_none
 from dtwin.errors import InputError
 from dtwin.kinds.drift._model import sense
@@ -124,11 +124,9 @@ def _read_drift(path: Path, campaign: Campaign, stated: Mapping[str, Any]) -> tu
         cells = [" ".join(row[i].strip() for i in stamped) for row in body]
     named = " ".join(head for head, name in zip(said, heads, strict=True) if name == clock)
     t_s = _seconds(cells, scales[clock], path, named, stamps=clock == _STAMPED)
-    there = t_s[np.isfinite(t_s)]
-    if there.size > 1 and there[0] > there[-1]:
-        # The newest reading first.
-        t_s, there, column = t_s[::-1], there[::-1], {name: values[::-1] for name, values in column.items()}
-    _require_rising(there, path)
+    if newest_first(t_s):
+        t_s, column = t_s[::-1], {name: values[::-1] for name, values in column.items()}
+    _require_rising(t_s[np.isfinite(t_s)], path)
     shared: dict[str, Floats] = {"t_s": t_s}
     shared |= {name: scales[name] * (numbers_of(column[name]) - zero_of[name]) for name in temperatures}
     if _SAMPLE in column:

@@ -593,11 +593,12 @@ UP, DOWN = [0.0, 50.0, 100.0], [100.0, 50.0, 0.0]
         ([100.0] * 8, ""),
     ],
 )
+@pytest.mark.parametrize("order", [1, -1], ids=["oldest first", "newest first"])
 def test_directions_that_are_not_named_are_told_by_the_order_of_targets(
-    tmp_path: Path, targets: list[float], ways: str
+    tmp_path: Path, targets: list[float], ways: str, order: int
 ) -> None:
     path = tmp_path / "a.csv"
-    rows = [f"{n};{t:g};{t + 0.001:g};6000" for n, t in enumerate(targets)]
+    rows = [f"{n};{t:g};{t + 0.001:g};6000" for n, t in enumerate(targets)][::order]
     path.write_text("\n".join(["Time [s];Commanded [mm];Measured [mm];Feed [mm/min]", *rows]), encoding="utf-8")
     campaign = Campaign(name="c", machine="m", kind="linear")
     if not ways:
