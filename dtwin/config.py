@@ -261,11 +261,18 @@ def home() -> Home:
 
 
 def home_in(folder: Path) -> Home:
-    """Return the home in a folder; a ``~`` stands for somebody's own folder. Raises ``InputError`` when nobody has that name."""
+    """Return the home in a folder; a ``~`` stands for somebody's own folder. Raises ``InputError`` when nobody has that name, or this folder is gone."""
     try:
         return Home(folder.expanduser().absolute())
     except RuntimeError as error:
         raise InputError("the home is in the folder of nobody", code="home.path", got=str(folder)[:200]) from error
+    except FileNotFoundError as error:
+        raise InputError(
+            "the folder in which the command was typed is gone",
+            code="home.path",
+            got=str(folder)[:200],
+            hint="cd to a folder that is there, or set DTWIN_HOME to a whole path",
+        ) from error
 
 
 def quiet_environment() -> None:

@@ -19,6 +19,22 @@ if TYPE_CHECKING:
     from dtwin.train.symbolic import Engine
 
 Machine = Annotated[str | None, typer.Option(help="Required when there are several.")]
+_LONGEST = 1000
+
+
+def _short(comment: str) -> str:
+    """Return a comment; refuse one that no table of the history can show."""
+    if len(comment) > _LONGEST:
+        raise InputError(
+            "the comment is too long",
+            code="promote.comment",
+            got=f"{len(comment)} characters",
+            allowed=f"up to {_LONGEST}",
+        )
+    return comment
+
+
+Comment = Annotated[str, typer.Option(help="Why; kept in the history.", callback=_short)]
 
 app = typer.Typer()
 
@@ -171,7 +187,7 @@ def promote(
         list[str] | None, typer.Option(help="Evidence on record that speaks against it, by name; kept in the history.")
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the virtual machine.")] = 0,
-    comment: Annotated[str, typer.Option(help="Why; kept in the history.")] = "",
+    comment: Comment = "",
     valid_days: Annotated[
         float, typer.Option(min=0.0, max=36_500.0, help="How long the evidence holds; 0: for ever.")
     ] = 0.0,
@@ -222,11 +238,7 @@ def promote(
 
 
 @app.command()
-def rollback(
-    machine: Machine = None,
-    comment: Annotated[str, typer.Option(help="Why; kept in the history.")] = "",
-    as_json: Json = False,
-) -> None:
+def rollback(machine: Machine = None, comment: Comment = "", as_json: Json = False) -> None:
     """Bar the champion and go back to the one before it; without one nothing is served."""
     from dtwin.train.promotion import rollback as go_back
     from dtwin.train.registry import Registry

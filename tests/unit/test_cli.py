@@ -293,6 +293,7 @@ def test_a_registry_that_is_lost_in_the_middle_is_said_and_a_bad_home_file_does_
         (["robot-program", "--slew-um-s", "1e309"], "ur.limits"),
         (["machine", "next", "m"], "machine.proposals"),
         (["machine", "plan", "m", "--out", ""], "store.write"),
+        (["promote", "1", "--comment", "x" * 1001], "promote.comment"),
     ],
 )
 def test_what_makes_no_sense_is_refused_and_nothing_hangs(

@@ -362,10 +362,12 @@ def test_a_pipe_in_place_of_the_settings_of_a_home_is_refused(tmp_path: Path) ->
         Home(tmp_path).file  # noqa: B018
 
 
-@pytest.mark.parametrize("path", ["x" * 600, "~nobody-has-this-name/home"])
-def test_a_path_with_a_name_that_no_folder_can_have_is_said(path: str) -> None:
+@pytest.mark.parametrize("path", ["x" * 600, "~nobody-has-this-name/home", "home in a folder that is gone"])
+def test_a_path_with_a_name_that_no_folder_can_have_is_said(tmp_path: Path, path: str) -> None:
+    gone = 'mkdir gone && cd gone && rmdir ../gone && exec "$@"'
     told = subprocess.run(
-        [sys.executable, "-m", "dtwin", "runs"],
+        [*(["sh", "-c", gone, "sh"] if "gone" in path else []), sys.executable, "-m", "dtwin", "runs"],
+        cwd=tmp_path,
         env=dict(os.environ, DTWIN_HOME=path),
         capture_output=True,
         text=True,
