@@ -28,7 +28,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from bench_workbench import asked, made_runs
+from bench_workbench import asked, entered, made_runs
 
 from dtwin.acquire.ingest import ingest
 from dtwin.config import Home
@@ -187,9 +187,7 @@ def server(home: Home) -> Iterator[tuple[str, str]]:
     )
     try:
         assert process.stdout is not None
-        found = re.search(r"(http://[^/]+)/\?token=(\S+)", process.stdout.readline())
-        assert found, "the server did not start"
-        yield found[1], f"dtwin_{found[1].rsplit(':', 1)[1]}={found[2]}"
+        yield entered(process.stdout.readline())
     finally:
         process.terminate()
         process.wait(30)

@@ -86,6 +86,14 @@ def made_runs(count: int) -> list[Run]:
     return runs
 
 
+def entered(printed: str) -> tuple[str, str]:
+    """Return the address of a workbench, by the line that it printed, and the cookie that a browser gets from it."""
+    found = re.search(r"(http://[^/]+)/\?token=\S+", printed)
+    assert found, "the server did not start"
+    with urllib.request.urlopen(found[0], timeout=600) as answer:
+        return found[1], answer.headers["set-cookie"].partition(";")[0]
+
+
 def asked(address: str, cookie: str) -> tuple[float, int]:
     request = urllib.request.Request(address, headers={"cookie": cookie})
     begun = time.perf_counter()
@@ -152,10 +160,7 @@ def measured(folder: str, repeats: int) -> dict[str, object]:
     )
     try:
         assert server.stdout is not None
-        found = re.search(r"(http://[^/]+)/\?token=(\S+)", server.stdout.readline())
-        assert found, "the server did not start"
-        base, token = found.groups()
-        cookie = f"dtwin_{base.rsplit(':', 1)[1]}={token}"
+        base, cookie = entered(server.stdout.readline())
         pages = {}
         for page in PAGES:
             first, size = asked(base + page, cookie)

@@ -8,6 +8,7 @@ it, by a cookie; a program by ``MLFLOW_TRACKING_TOKEN``.
 from __future__ import annotations
 
 import argparse
+import hmac
 import json
 import os
 import re
@@ -65,6 +66,8 @@ class Secret:
 
     def __init__(self, app: ASGIApp, token: str, port: int, view: Callable[[], Mapping[str, object]]) -> None:
         self.app, self.token, self.cookie, self.view = app, token, f"dtwin_mlflow_{port}", view
+        # Every server of this computer that the browser asks gets the cookie: the secret, which flows are started by, is not told by it.
+        self.entered = hmac.new(token.encode(), b"a browser that entered MLflow", "sha256").hexdigest()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Answer a request, or refuse it."""
@@ -83,16 +86,18 @@ class Secret:
             answer = HTMLResponse(
                 _ENTERED % view, headers={"Referrer-Policy": "no-referrer", "Cache-Control": "no-store"}
             )
-            answer.set_cookie(self.cookie, self.token, httponly=True, samesite="strict", path="/")
+            answer.set_cookie(self.cookie, self.entered, httponly=True, samesite="strict", path="/")
             await answer(scope, receive, send)
-        elif self._is_right(self._said(headers)):
+        elif self._is_told(headers):
             await self.app(scope, receive, send)
         else:
             await refuse(_ABSENT, 401, scope, receive, send)
 
-    def _said(self, headers: Headers) -> str:
-        in_cookie = cookie_parser(headers.get("cookie", "")).get(self.cookie)
-        return in_cookie or headers.get("authorization", "").removeprefix("Bearer ")
+    def _is_told(self, headers: Headers) -> bool:
+        in_cookie = cookie_parser(headers.get("cookie", "")).get(self.cookie, "")
+        return secrets.compare_digest(in_cookie.encode(), self.entered.encode()) or self._is_right(
+            headers.get("authorization", "").removeprefix("Bearer ")
+        )
 
     def _is_right(self, said: str) -> bool:
         return secrets.compare_digest(said.encode(), self.token.encode())

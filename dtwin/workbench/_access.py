@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hmac
 import html
 import ipaddress
 import json
@@ -27,9 +28,11 @@ _READING = ("GET", "HEAD")
 _MOST_BYTES, _FILES = 1_000_000, "/api/trays/"
 _MOVE_ON = (
     '<!doctype html><html lang="en"><meta charset="utf-8"><title>dtwin</title>'
-    '<link rel="icon" href="data:,">'
-    '<meta http-equiv="refresh" content="0; url={to}"><p><a href="{to}">To the workbench</a></p>'
+    '<link rel="icon" href="data:,"><noscript><meta http-equiv="refresh" content="0; url={to}"></noscript>'
+    '<script src="/static/enter.js" data-key="{key}" data-to="{to}"></script><p><a href="{to}">To the workbench</a></p>'
 )
+KEY = "dtwin-key"
+"""Header with the key of a page, which every change needs beside the cookie."""
 _HEADERS = {
     # Plotly sets style attributes; everything else is only from here, and no script is inline.
     "Content-Security-Policy": "default-src 'none'; script-src 'self'; "
@@ -61,7 +64,7 @@ class Access:
 
     @property
     def cookie(self) -> str:
-        """Name of the cookie; cookies do not tell ports apart."""
+        """Name of the cookie. Cookies do not tell ports apart: every server of this computer that the browser asks gets it, so it only lets read."""
         return f"dtwin_{self.port}"
 
     @property
@@ -76,17 +79,25 @@ class Access:
         name = f"[{shown}]" if ":" in shown else shown
         return f"http://{name}:{self.port}/?{urlencode({'token': self.token})}"
 
-    def knows(self, given: str | None) -> bool:
-        """Tell whether a token is the right one."""
-        return self.person(given) is not None
-
-    def person(self, given: str | None) -> Person | None:
+    def person(self, given: str) -> Person | None:
         """Return whose token it is; None for a wrong one."""
-        if given is None:
-            return None
         if secrets.compare_digest(given.encode(), self.token.encode()):
-            return Person(acting(), ROLES, "")
+            return self._starter()
         return None if self.home is None else read_people(self.home).of_token(given)
+
+    def sealed(self, person: Person, use: str) -> str:
+        """Return what a browser keeps of a person's token for a use, ``read`` or ``change``: of this start, and no way back to the token."""
+        return hmac.new(self.token.encode(), f"{use} {person.token_sha256}".encode(), "sha256").hexdigest()
+
+    def holder(self, given: str | None, use: str) -> Person | None:
+        """Return whose token was sealed for a use; None when nobody's was."""
+        if not given:
+            return None
+        people = (self._starter(), *(() if self.home is None else read_people(self.home).people))
+        return next((p for p in people if secrets.compare_digest(given.encode(), self.sealed(p, use).encode())), None)
+
+    def _starter(self) -> Person:
+        return Person(acting(), ROLES, "")
 
     def knows_host(self, header: str | None) -> bool:
         """Tell whether a Host header names this server."""
@@ -155,14 +166,14 @@ class Guarded:
         if given is not None and scope["method"] in _READING:
             return self._entered(scope, given)
         cookies = cookie_parser(headers.get("cookie", ""))
-        person = self.access.person(cookies.get(self.access.cookie))
+        person = self.access.holder(cookies.get(self.access.cookie), "read")
         allowed = person is not None
         may = [] if person is None else [role for role in ROLES if person.may(role)]
         scope.setdefault("state", {}).update(allowed=allowed, who=None if person is None else person.name, may=may)
         if scope["method"] not in _READING:
             if headers.get("origin") is None or is_foreign(headers["origin"], headers["host"]):
                 return _refusal("the request comes from another site", "use the workbench's page")
-            if person is None:
+            if person is None or person != self.access.holder(headers.get(KEY), "change"):
                 return _refusal("the token is missing", "open the address that dtwin ui printed")
             is_file = scope["method"] == "PUT" and scope["path"].startswith(_FILES)
             if not is_file and not _is_short(headers):
@@ -184,15 +195,17 @@ class Guarded:
         return None
 
     def _entered(self, scope: Scope, given: str) -> Response:
-        if not self.access.knows(given):
+        if (person := self.access.person(given)) is None:
             return _refusal(
                 "the token is not of this start",
                 "open the newest address that dtwin ui printed; each start has its own",
             )
         # A redirect would still count as coming from where the link was pressed, and then a
         # strict cookie is withheld; a page that moves on by itself does not.
-        answer = HTMLResponse(_MOVE_ON.format(to=html.escape(quote(f"/{scope['path'].lstrip('/')}"))))
-        answer.set_cookie(self.access.cookie, given, httponly=True, samesite="strict", path="/")
+        to, key = html.escape(quote(f"/{scope['path'].lstrip('/')}")), self.access.sealed(person, "change")
+        answer = HTMLResponse(_MOVE_ON.format(to=to, key=key))
+        read = self.access.sealed(person, "read")
+        answer.set_cookie(self.access.cookie, read, httponly=True, samesite="strict", path="/")
         return answer
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command_here import printed, refused, said
+from entered_workbench import enter
 from laser_axis import write_laser
 from mill_and_laser import write_circles
 from starlette.testclient import TestClient
@@ -205,7 +206,7 @@ def test_the_budget_of_a_program_is_on_the_page_of_a_twin(home: Home) -> None:
     opened = TestClient(
         application(bench), base_url="http://127.0.0.1:8765", headers={"Origin": "http://127.0.0.1:8765"}
     )
-    opened.get("/", params={"token": bench.access.token})
+    enter(opened, bench.access.token)
     (own, *others), *_ = said("twin", "diagnose", "parts")["undecided"]
     page = opened.get("/twins/parts/budget").text
     assert "left without it" in page

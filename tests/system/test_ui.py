@@ -555,8 +555,10 @@ def test_without_the_token_the_page_only_reads(browser: Browser, bench: Workbenc
     stranger.close()
     body = json.dumps({"campaign": "mill-backlash", "name": "mill"}).encode()
     given = {"origin": bench.base, "content_type": "application/json"}
-    for cookie in ("", bench.cookie[:-1], bench.cookie + "x"):
-        status, text = bench.ask("/api/twins", method="POST", body=body, cookie=cookie, **given)
+    key = bench.entered[1]
+    for cookie, dtwin_key in (("", key), (bench.cookie[:-1], key), (bench.cookie + "x", key), (bench.cookie, "")):
+        told = given | {"cookie": cookie, "dtwin_key": dtwin_key}
+        status, text = bench.ask("/api/twins", method="POST", body=body, **told)
         assert (status, "the token is missing" in text) == (403, True)
     assert bench.ask("/?token=wrong")[0] == 403
 

@@ -12,8 +12,11 @@ import urllib.error
 import urllib.request
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import cached_property
 from pathlib import Path
 from urllib.parse import parse_qs, urlsplit
+
+from dtwin.workbench._access import KEY
 
 START_S = 300.0
 
@@ -34,9 +37,16 @@ class Workbench:
     def token(self) -> str:
         return parse_qs(urlsplit(self.address).query)["token"][0]
 
+    @cached_property
+    def entered(self) -> tuple[str, str]:
+        """The cookie of a browser that opened the address, and the key that its page sends with every change."""
+        with urllib.request.urlopen(self.address, timeout=120) as answer:
+            page = answer.read().decode()
+            return answer.headers["set-cookie"].partition(";")[0], page.partition('data-key="')[2].partition('"')[0]
+
     @property
     def cookie(self) -> str:
-        return f"dtwin_{urlsplit(self.address).port}={self.token}"
+        return self.entered[0]
 
     def await_address(self) -> None:
         assert self.process.stdout is not None
@@ -68,9 +78,8 @@ class Workbench:
 
     def act(self, path: str, body: bytes = b"{}", method: str = "POST") -> tuple[int, str]:
         """As the workbench's own page does."""
-        return self.ask(
-            path, method=method, body=body, cookie=self.cookie, origin=self.base, content_type="application/json"
-        )
+        own = {"cookie": self.cookie, KEY: self.entered[1], "origin": self.base}
+        return self.ask(path, method=method, body=body, content_type="application/json", **own)
 
 
 @contextmanager

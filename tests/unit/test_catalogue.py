@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from entered_workbench import enter
 from starlette.testclient import TestClient
 from test_store import CAMPAIGN, make_run
 
@@ -122,8 +123,8 @@ def test_a_line_of_a_twin_is_its_newest_version_and_others_are_not_read(home: Ho
 def test_the_list_of_campaigns_is_found_in_and_paged(home: Home, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(_campaign_routes, "_ON_A_PAGE", 1)
     access = Access("127.0.0.1", 8765)
-    cookie = {"dtwin_8765": access.address.partition("token=")[2]}
-    browser = TestClient(application(Bench(home, access)), base_url="http://127.0.0.1:8765", cookies=cookie)
+    browser = TestClient(application(Bench(home, access)), base_url="http://127.0.0.1:8765")
+    enter(browser, access.token)
 
     def shown(query: str) -> list[str]:
         return re.findall(r'href="/campaigns/(\w+)"', browser.get(f"/campaigns?{query}").text)

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 from command_here import refused, said
+from entered_workbench import enter
 from laser_axis import write_laser
 from starlette.testclient import TestClient
 
@@ -103,7 +104,7 @@ def test_the_page_shows_the_tests_and_gives_their_files(home: Path) -> None:
     address = "http://127.0.0.1:8765"
     access = Access("127.0.0.1", 8765)
     browser = TestClient(application(Bench(Home(home), access)), base_url=address, headers={"Origin": address})
-    browser.get("/", params={"token": access.token})
+    enter(browser, access.token)
     assert "/machines/mill-7/next" in browser.get("/machines/mill-7").text
     # A diagnosis takes longer than a page may.
     (home / "kept/joint/mill-7.json").unlink(missing_ok=True)

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 from closed_loop import MACHINE, registered, small_bundle
+from entered_workbench import enter
 from starlette.testclient import TestClient
 from typer.testing import CliRunner
 
@@ -41,10 +42,14 @@ from dtwin.workbench.server import application
 BASE = "http://127.0.0.1:8765"
 
 
-def entered(state: Home, token: str) -> TestClient:
+def outside(state: Home) -> TestClient:
     access = Access("127.0.0.1", 8765, True, home=state)
-    client = TestClient(application(Bench(state, access, None)), base_url=BASE, headers={"origin": BASE})
-    client.get("/machines", params={"token": token})
+    return TestClient(application(Bench(state, access, None)), base_url=BASE, headers={"origin": BASE})
+
+
+def entered(state: Home, token: str) -> TestClient:
+    client = outside(state)
+    enter(client, token)
     return client
 
 
@@ -65,7 +70,7 @@ def test_a_person_may_what_the_role_says_and_stands_in_the_record() -> None:
     assert (line["who"], line["what"], line["why"]) == ("max", "POST /api/machines/mill-1/event", "new spindle")
     assert line["came"] == str(taken.status_code)
     assert measures not in (state.root / "people.toml").read_text()
-    assert entered(state, "wrong").get("/machines").status_code == 403
+    assert outside(state).get("/", params={"token": "wrong"}).status_code == 403
     # A token that was taken away, or replaced, holds no more; nor does the page that was open.
     remove_person(state, "max")
     assert audit(state)[-1]["what"] == "no token for max any more"

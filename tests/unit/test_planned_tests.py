@@ -14,6 +14,7 @@ from typing import Any
 
 import pytest
 from command_here import said
+from entered_workbench import enter
 from laser_axis import write_laser
 from machine_years import steady, write_tests
 from starlette.testclient import TestClient
@@ -47,8 +48,9 @@ def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Home:
 
 def browser(home: Home) -> TestClient:
     access = Access("127.0.0.1", 8765)
-    cookie = {"dtwin_8765": access.address.partition("token=")[2]}
-    return TestClient(application(Bench(home, access)), base_url="http://127.0.0.1:8765", cookies=cookie)
+    opened = TestClient(application(Bench(home, access)), base_url="http://127.0.0.1:8765")
+    enter(opened, access.token)
+    return opened
 
 
 @pytest.mark.parametrize("kind", drafting_kinds())

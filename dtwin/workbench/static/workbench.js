@@ -6,7 +6,8 @@ const all = (selector, within) => Array.from((within || document).querySelectorA
 const CONFIG = { displaylogo: false, responsive: true, modeBarButtonsToRemove: ["lasso2d", "select2d", "sendChartToCloud"], plotlyServerURL: "" };
 
 async function ask(address, options) {
-  const answer = await fetch(address, { credentials: "same-origin", ...options }).catch(() => {
+  const headers = { ...(options || {}).headers, "dtwin-key": localStorage.getItem("dtwin-key") || "" };
+  const answer = await fetch(address, { credentials: "same-origin", ...options, headers }).catch(() => {
     throw new Error("the workbench does not answer: it was stopped, or the connection broke\n  try: dtwin ui, and open the address that it prints; what it had not finished is told there");
   });
   const kind = answer.headers.get("content-type") || "";

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 from bundles import path_bundle
+from entered_workbench import enter
 from starlette.testclient import TestClient
 
 from dtwin.config import Home
@@ -361,7 +362,7 @@ def test_the_workbench_is_told_the_model_in_use(home: Home) -> None:
     keep_record(home, "cobot-a", {})
     bench = Bench(home, Access("127.0.0.1", 8765))
     client = TestClient(application(bench), base_url="http://127.0.0.1:8765")
-    client.get("/", params={"token": bench.access.token})
+    enter(client, bench.access.token)
     assert client.get("/api/machines/cobot-a/summary").json()["champion"] == ""
     promoted(home)
     assert client.get("/api/machines/cobot-a/summary").json()["champion"] == "version 3 (champion)"

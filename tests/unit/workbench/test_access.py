@@ -1,13 +1,18 @@
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
+from entered_workbench import enter
 from starlette.applications import Starlette
 from starlette.responses import PlainTextResponse
 from starlette.routing import Route
 from starlette.testclient import TestClient
 
+from dtwin.config import Home
 from dtwin.own_address import is_foreign, names_this_computer
-from dtwin.workbench._access import Access, Guarded
+from dtwin.people import add_person
+from dtwin.workbench._access import KEY, Access, Guarded
 
 
 async def said(_request: object) -> PlainTextResponse:
@@ -64,15 +69,33 @@ def test_reading_needs_the_token_on_a_private_server() -> None:
     opened = client(access)
     assert opened.get("/campaigns").status_code == 403
     assert opened.get("/static/workbench.css").status_code == 200
-    assert opened.get("/", params={"token": access.token}).status_code == 200
-    opened.cookies.set(access.cookie, access.token)
+    enter(opened, access.token)
     assert opened.get("/campaigns").status_code == 200
+
+
+def test_what_another_server_of_this_computer_is_sent_changes_nothing(tmp_path: Path) -> None:
+    home = Home(tmp_path)
+    access = Access("127.0.0.1", 8765, home=home)
+    own = {"origin": "http://127.0.0.1:8765"}
+    tokens = access.token, add_person(home, "max", ["train"]), add_person(home, "lena", ["train"])
+    browsers = [client(access) for _ in tokens]
+    for opened, token in zip(browsers, tokens, strict=True):
+        enter(opened, token)
+    for opened in browsers:
+        assert opened.post("/api/twins", headers=own).status_code == 200
+        # A cookie goes to every port: it lets nobody enter, nor change, whoever has a key of his own.
+        sent = opened.cookies[access.cookie]
+        assert opened.get("/", params={"token": sent}).status_code == 403
+        for key in ("", sent, *(other.headers[KEY] for other in browsers if other is not opened)):
+            assert opened.post("/api/twins", headers=own | {KEY: key}).status_code == 403
+    (tmp_path / "people.toml").unlink()
+    assert [opened.post("/api/twins", headers=own).status_code for opened in browsers] == [200, 403, 403]
 
 
 def test_a_request_that_is_long_or_does_not_say_how_long_is_not_read() -> None:
     access = Access("127.0.0.1", 8765)
     opened = client(access)
-    opened.cookies.set(access.cookie, access.token)
+    enter(opened, access.token)
     own = {"origin": "http://127.0.0.1:8765"}
     assert opened.post("/api/twins", content=b"x" * 1_000_000, headers=own).status_code == 200
     assert opened.post("/api/twins", content=b"x" * 1_000_001, headers=own).status_code == 413

@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 import pytest
 import uvicorn
+from entered_workbench import enter
 from starlette.testclient import TestClient
 
 from dtwin.config import Home
@@ -231,7 +232,7 @@ def test_what_is_stated_while_other_work_runs_is_all_kept(tmp_path: Path) -> Non
     client = TestClient(
         application(bench), base_url="http://127.0.0.1:8765", headers={"Origin": "http://127.0.0.1:8765"}
     )
-    client.get("/", params={"token": bench.access.token})
+    enter(client, bench.access.token)
     half = {"name": "x", "campaign": chr(0xD800)}
     assert client.post("/api/twins", content=json.dumps(half)).status_code == 400
     told = [{"symbol": "H", "high_um": 3.0}, {"symbol": "G(CW)", "high_um": 4.0}]
@@ -266,7 +267,7 @@ def test_what_was_stated_of_a_machine_is_taken_back_and_of_no_machine_nothing_is
     client = TestClient(
         application(bench), base_url="http://127.0.0.1:8765", headers={"Origin": "http://127.0.0.1:8765"}
     )
-    client.get("/", params={"token": bench.access.token})
+    enter(client, bench.access.token)
     for what in ("next", "together", "event", "event/drop"):
         event = {"what": "crash", "on": "2026-01-02", "note": note.strip()}
         assert client.post(f"/api/machines/nobody/{what}", json=event).status_code == 404, what
@@ -371,7 +372,7 @@ def test_a_home_that_is_taken_away_is_told_and_not_begun_anew(tmp_path: Path) ->
         base_url="http://127.0.0.1:8765",
         headers={"Origin": "http://127.0.0.1:8765"},
     )
-    client.get("/", params={"token": access.token})
+    enter(client, access.token)
     assert client.get("/machines").status_code == 200
     keep_record(Home(root), "mill-a", {})
     assert "mill-a" in client.get("/machines").text
@@ -391,7 +392,7 @@ def test_a_table_in_an_archive_is_asked_about_and_refusals_name_fields_of_the_fo
         base_url="http://127.0.0.1:8765",
         headers={"Origin": "http://127.0.0.1:8765"},
     )
-    client.get("/", params={"token": access.token})
+    enter(client, access.token)
     rows = [f"{t},{way},{t + 0.001},{t + 0.002}" for way in ("forward", "reverse") for t in (0, 100, 200)]
     packed = io.BytesIO()
     with zipfile.ZipFile(packed, "w") as archive:
