@@ -65,7 +65,7 @@ def record(
     request = replace(
         _request(out, run, machine, duration, reference, stated), head=_head(out, robot), in_force=in_force
     )
-    with stop_on_signals() as asked:
+    with stop_on_signals(from_first_asked=True) as asked:
         print(f"recording {request.run_id}; Ctrl-C ends it", file=sys.stderr, flush=True)
         done = record_run(instruments, request, asked)
         early = asked() and duration is not None

@@ -90,19 +90,30 @@ def _call(name: str, *arguments: int) -> None:
 
 
 @contextlib.contextmanager
-def stop_on_signals() -> Iterator[Callable[[], bool]]:
+def stop_on_signals(*, from_first_asked: bool = False) -> Iterator[Callable[[], bool]]:
     """Yield a function that is true once SIGINT, SIGTERM or SIGHUP has arrived; ``nohup`` goes on without a terminal.
 
     Must be entered in the main thread; the earlier handlers come back afterwards.
+
+    ``from_first_asked``: until the function is asked, a signal is a ``KeyboardInterrupt``: nothing is there yet to end in order, and what
+    waits for a device is not to be waited for.
     """
     asked: list[int] = []
+    noting = not from_first_asked
 
     def note(number: int, frame: FrameType | None) -> None:
+        if not noting:
+            raise KeyboardInterrupt
         asked.append(number)
+
+    def was_asked() -> bool:
+        nonlocal noting
+        noting = True
+        return bool(asked)
 
     before = {number: signal.signal(number, note) for number in ending_signals()}
     try:
-        yield lambda: bool(asked)
+        yield was_asked
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)

@@ -378,6 +378,15 @@ def test_interrupt_becomes_a_question(cobot: VirtualCobot) -> None:
     assert steps.max() <= 2000.0 * 0.02 + 1e-9
 
 
+def test_until_something_runs_an_interrupt_is_one() -> None:
+    with stop_on_signals(from_first_asked=True) as stop:
+        with pytest.raises(KeyboardInterrupt):
+            os.kill(os.getpid(), signal.SIGINT)
+        assert not stop()
+        os.kill(os.getpid(), signal.SIGINT)
+        assert stop()
+
+
 def test_only_a_rising_sequence_is_sent(cobot: VirtualCobot) -> None:
     link = BrokenLink(cobot.controller(CONDITION, setup="s1", repeat=1).state(), 10)
     loop = ServingLoop(Decision(CompiledBundle(path_bundle()), TCP_MM), link, first_sequence=layout.SEQUENCE_LIMIT)
