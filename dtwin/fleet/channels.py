@@ -55,10 +55,14 @@ class _Email:
     to: Sequence[str]
     user: str = ""
     password_from: str = ""
-    name = "email"
+
+    @property
+    def name(self) -> str:
+        """How the file calls it."""
+        return "email"
 
     def send(self, title: str, text: str, alerts: Sequence[Mapping[str, str]]) -> None:
-        """Send one message to all."""
+        """Send one message."""
         message = EmailMessage()
         message["Subject"], message["From"], message["To"] = title, self.sender, ", ".join(self.to)
         message.set_content(text)
@@ -68,9 +72,16 @@ class _Email:
                 server.starttls(context=ssl.create_default_context())
             if self.user:
                 server.login(self.user, _secret(self.password_from, "email.password_from"))
-            # Some may be refused where others are taken.
-            if refused := server.send_message(message):
-                raise DeviceError(f"the server refused {', '.join(refused)} alone", code="alert.email")
+            server.send_message(message)
+
+
+class _OneOfSeveral(_Email):
+    """E-mail to one receiver. Whom the server refuses is told later, and the others nothing twice."""
+
+    @property
+    def name(self) -> str:
+        """How the file calls it, and who it is."""
+        return f"email to {', '.join(self.to)}"
 
 
 @dataclass(frozen=True)
@@ -153,7 +164,14 @@ def channels_of(home: Home) -> list[Channel]:
     unknown = sorted(set(stated) - set(_KINDS))
     if unknown:
         raise _refused(str(path), ", ".join(unknown)[:120], ", ".join(_KINDS))
-    return [_checked(_settings(_KINDS[name], stated[name], f"{path}: {name}"), str(path)) for name in stated]
+    found = [_checked(_settings(_KINDS[name], stated[name], f"{path}: {name}"), str(path)) for name in stated]
+    return [one for channel in found for one in _by_receiver(channel)]
+
+
+def _by_receiver(channel: Channel) -> Sequence[Channel]:
+    if not isinstance(channel, _Email) or len(channel.to) == 1:
+        return [channel]
+    return [_OneOfSeveral(**vars(channel) | {"to": [address]}) for address in dict.fromkeys(channel.to)]
 
 
 def deliver(channel: Channel, title: str, text: str, alerts: Sequence[Mapping[str, str]]) -> None:

@@ -111,12 +111,20 @@ def test_new_alerts_are_one_mail_and_told_once_while_they_last(inbox: tuple[Inbo
     assert len(kept.mails) == 2
 
 
-def test_one_of_several_whom_the_server_refuses_is_said(inbox: tuple[Inbox, int]) -> None:
+def test_one_of_several_whom_the_server_refuses_is_owed_it_and_the_others_nothing(
+    inbox: tuple[Inbox, int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    kept, port = inbox
     where = state(
-        f'[email]\nsmtp = "127.0.0.1:{inbox[1]}"\nsender = "a@b.example"\nto = ["shop@b.example", "left@b.example"]\n'
+        f'[email]\nsmtp = "127.0.0.1:{port}"\nsender = "a@b.example"\nto = ["shop@b.example", "left@b.example"]\n'
     )
-    assert "refused left@b.example alone" in try_channels(where)["email"]
-    assert inbox[0].mails[0].rcpt_tos == ["shop@b.example"]
+    for night in (1, 2):
+        told = tell(where, [LATE], channels_of(where), DAY)
+        assert told.sent == ({"email to shop@b.example": 1} if night == 1 else {})
+        assert "550" in told.failed["email to left@b.example"]
+    assert [mail.rcpt_tos for mail in kept.mails] == [["shop@b.example"]]
+    monkeypatch.delattr(Inbox, "handle_RCPT")
+    assert tell(where, [LATE], channels_of(where), DAY).sent == {"email to left@b.example": 1}
 
 
 def test_what_is_silenced_is_not_told_until_its_day(inbox: tuple[Inbox, int]) -> None:
