@@ -76,11 +76,14 @@ OTHER_TEST = re.compile(
 """Title of another test that is made along an axis."""
 OWN_SENSOR = re.compile(r"resolver|encoder|open ?loop|motor|stepper|counter|dreh(geber|impuls)", re.I)
 """What reads for the control itself."""
-_ACTUAL = re.compile(rf"actual|measured|reading|ist|mess|ref|(?<![a-z])(act|meas)(pos)?{_ONE}", re.I)
+_MEASURED = "mesur|misur|medi(d[ao]|ci)"
+_ACTUAL = re.compile(rf"actual|measured|reading|ist|mess|ref|{_MEASURED}|(?<![a-z])(act|meas)(pos)?{_ONE}", re.I)
 SURELY_READ = re.compile(
-    rf"^(actual|measured?|measurement|reading|ist|mess|(act|meas)(pos)?{_ONE}|\d{{1,3}}\s*[\[(])", re.I
+    rf"^(actual|measured?|measurement|reading|ist|mess|{_MEASURED}|(act|meas)(pos)?{_ONE}|\d{{1,3}}\s*[\[(])", re.I
 )
-CYCLE = re.compile(r"^(cycle|run|repeat|test( ?(no\.?|nr\.?|number|#))?$|zyklus|lauf|nr)", re.I)
+CYCLE = re.compile(
+    r"^(cycle|run|repeat|test( ?(no\.?|nr\.?|number|#))?$|(messreihe|s[ée]rie|ciclo)$|zyklus|lauf|nr)", re.I
+)
 _RUN = re.compile(r"r\d+(?!\w)", re.I)
 _NUMBER = re.compile(r"(\d+)")
 _WAY = re.compile(r"^(direction|dir|\w*richtung|bewegung$|movement$|approach|sens[eo]?\b|sentido)", re.I)
@@ -116,6 +119,10 @@ def wide_of(heads: Sequence[str]) -> Wide | None:
         numbered = deviations
     # Targets that lie on their side: a minus of theirs is no way back.
     if not targets or any(_VALUE.fullmatch(name) for name in names):
+        return None
+    # What was measured is no target of positions: that stands in a head that tells a direction.
+    measured = _ACTUAL.search(names[targets[0]]) and not SURELY_TARGET.match(names[targets[0]])
+    if measured and not all(is_deviation(names[i]) for i, _, _ in cells):
         return None
     # Of heads in two rows, as under merged cells, some are empty.
     whole = all(names[: cells[-1][0]]) if cells else False

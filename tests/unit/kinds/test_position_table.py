@@ -176,6 +176,8 @@ def by_cycle() -> str:
         by_reading("target_mm,cycle,direction,position_mm", "{t},{c},{way},{at:.6f}"),
         by_reading("direction,position_mm,cycle,target_mm", "{way},{at:.6f},{c},{t}"),
         by_reading("target_mm,cycle,direction,error_um", "{t},{c},{way},{um}"),
+        by_reading("Richtung,Messreihe,Sollposition [mm],Istposition [mm]", "{way},{c},{t},{at:.6f}"),
+        by_reading("sens,Position mesurée [mm],série,Position [mm]", "{way},{at:.6f},{c},{t}"),
         # A head that says position, in a unit that elsewhere says deviation.
         wide("actual {way} {c} um", 1e6, True),
         wide("{way} {c} mm", 1000.0, False),
@@ -740,6 +742,11 @@ def test_readings_above_the_first_title_of_a_direction_are_not_dropped(tmp_path:
         ("# error: commanded minus measured\nTarget [mm],fwd 1 [µm],rev 1 [µm]\n0,1,2\n9,2,3", "position_table.sign"),
         ("consigne - mesure\nCible [mm],aller 1 [µm],retour 1 [µm]\n0,1,2\n9,2,3", "position_table.sign"),
         ("Target [mm],corr fwd 1 [µm],corr rev 1 [µm]\n0,1,2\n9,2,3", "position_table.sign"),
+        # The targets stand below heads of directions, and what was measured below ones of positions.
+        (
+            "Andata: target [mm],Posizione misurata 1 [mm],Ritorno: target [mm],Posizione misurata 1 [mm]\n0,1,0,2\n9,10,9,11",
+            "position_table.form",
+        ),
     ],
 )
 def test_what_would_be_read_as_millimetres_of_another_axis_or_unit_is_refused(
