@@ -43,8 +43,11 @@ from dtwin.units import ANGLES_DEG, is_number
 
 _MOST_BYTES = 256 * 1024**2
 SUFFIXES = (".csv", ".txt", ".tsv", *SPREADSHEETS)
-_MOVED = re.compile(rf"(displacement|deviation|verlagerung|drift|{PROBES}|[d\u03b4]?[xyz]\d?)(_?\d+)?(_\w+)?_um", re.I)
-_AXIS = re.compile(r"(?:^|_)[d\u03b4]?([xyz])\d?(?=_)", re.I)
+_MOVED = re.compile(
+    rf"(displacement|deviation|verlagerung|drift|{PROBES}|(delta_?|[d\u03b4])?[xyz]\d?)(_?\d+)?(_\w+)?_um", re.I
+)
+_AXIS = re.compile(r"(?:^|_)(?:delta|[d\u03b4])?([xyz])\d?(?=_)", re.I)
+_RAW = re.compile(r"(?<![a-z])(raw|roh\w*|offset|zero)(?![a-z])", re.I)
 _MOST_AT_ONCE = 50
 """Readings of one sample."""
 _TRAVEL_UM = 10_000.0
@@ -236,6 +239,8 @@ def _displacements(heads: Sequence[str]) -> list[str]:
     moved = [name for name in lengths if name == _STEPS or _MOVED.fullmatch(name)]
     # Beside another length a position is where the machine stands, not what its probe reads.
     moved = [name for name in moved if len(lengths) == 1 or "position" not in name.lower()]
+    # What was read before it was evaluated, or a zero, is no run beside what was evaluated.
+    moved = [name for name in moved if not _RAW.search(name)] or moved
     return moved or (lengths if sum(name.endswith("_um") for name in heads) == 1 else [])
 
 

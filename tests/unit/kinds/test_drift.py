@@ -560,10 +560,11 @@ def test_a_zero_of_a_probe_that_read_nothing_is_left_out(tmp_path: Path) -> None
         assert not is_drift_log(path), other
 
 
-def test_a_target_beside_a_displacement_is_none(tmp_path: Path) -> None:
+@pytest.mark.parametrize("heads", ["Z target [µm],Z [µm]", "Z offset [µm],Z drift [µm]", "Z raw [µm],delta Z [µm]"])
+def test_a_target_beside_a_displacement_is_none(tmp_path: Path, heads: str) -> None:
     path = tmp_path / "a.csv"
     rows = [f"{60 * n},0,{n / 2},{20 + n / 10}" for n in range(60)]
-    path.write_text("\n".join(["time [s],Z target [µm],Z [µm],T [°C]", *rows]), encoding="utf-8")
+    path.write_text("\n".join([f"time [s],{heads},T [°C]", *rows]), encoding="utf-8")
     assert read(path).samples["displacement_um"][-1] == pytest.approx(29.5)
 
 
