@@ -49,6 +49,8 @@ _SHARE = re.compile(
     r"\s*-?\s*(?P<unit>mm|in\b|inch(?:es)?|\"|\u2033|'')",
     re.I,
 )
+NEWTON_METRE = "newtonmetre"
+_TORQUE = re.compile(r"(?<![^\W_])Nm(?![^\W_])")
 _POWERS = {"te": 1, "ze": 1, "hu": 2, "th": 3, "ta": 3}
 LENGTHS_MM = (
     {"m": 1000.0, "cm": 10.0, "mm": 1.0, "nm": 1e-6}
@@ -107,8 +109,8 @@ def is_number(value: object) -> TypeGuard[float]:
 
 
 def with_shares(text: str) -> str:
-    """Return a text with parts of units as words without digits: ``1/100 mm`` as ``hundredthmm``, ``0.0001 in`` as ``tenthousandthin``."""
-    return _SHARE.sub(_share, text)
+    """Return a text with units as words that small letters leave what they are: ``1/100 mm`` as ``hundredthmm``, ``0.0001 in`` as ``tenthousandthin``, ``Nm``, which is no ``nm``, as ``newtonmetre``."""
+    return _SHARE.sub(_share, _TORQUE.sub(NEWTON_METRE, text))
 
 
 def _share(found: re.Match[str]) -> str:

@@ -12,7 +12,7 @@ from typing import TypeVar
 
 from dtwin.acquire.xmlsafe import number_or_none
 from dtwin.errors import InputError
-from dtwin.units import G_MM_S2, LENGTHS_MM, TIMES_S, UM_PER_MM, UNITS, with_shares
+from dtwin.units import G_MM_S2, LENGTHS_MM, NEWTON_METRE, TIMES_S, UM_PER_MM, UNITS, with_shares
 
 _MOST_COLUMNS = 512
 _MOST_PREAMBLE = 200
@@ -39,6 +39,7 @@ _UNITS: Mapping[str, tuple[str, float]] = {
     **dict.fromkeys(("rpm", "1/min", "u/min", "min-1"), ("rpm", 1.0)),
     **dict.fromkeys(("%", "%rh", "%rf"), ("pct", 1.0)),
     **dict.fromkeys(("um/m", "μm/m"), ("um_per_m", 1.0)),
+    NEWTON_METRE: ("nm", 1.0),
     "kpa": ("kpa", 1.0),
     **dict.fromkeys(("hpa", "mbar"), ("kpa", 0.1)),
     "hz": ("hz", 1.0),

@@ -397,4 +397,4 @@ def is_length(head: str, unit: str = "") -> bool:
 
 def plain_unit(cell: str) -> str:
     """Return a unit as tables of units have it."""
-    return with_shares(unicodedata.normalize("NFKC", cell).strip().strip("[]()").strip().lower())
+    return with_shares(unicodedata.normalize("NFKC", cell).strip().strip("[]()").strip()).lower()

@@ -93,6 +93,7 @@ _NOT_READ = re.compile(
 _COMPUTED = re.compile(
     r"predict|expect|simulat|\bideal|\bfit(ted)?\b|\b(mean|avg|average|mittel\w*)\b|residu|(?<!un)(correct|compensat|korrigiert|kompensiert)|command|amplitud"
     r"|filter|gefiltert|filtré|filtrad|(low|high|band).?pass|(tief|hoch|band)pass|smooth|geglättet|envelope|hüllkurve|\btrend|once.per|\ba?sync|\bform\b|formfehler|\bsumm?e?\b|differ|eccentric|exzentr"
+    r"|(?<!\w)[xyz]\d?\s*[-\u2212+/]\s*[xyz]\d?(?!\w)|\b(lsc|mic|mcc|mzc|fft)\b"
 )
 """What a head says of a displacement that no probe read."""
 _POSITION, _OF_POSITIONS = re.compile(r"\bpos(ition)?\b"), ("mm", "cm", "m", "in", "inch")

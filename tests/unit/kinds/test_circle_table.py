@@ -156,6 +156,7 @@ def test_a_control_that_stands_before_and_after_its_circle_is_no_stuck_sensor(tm
     [
         (table("angle,ccw,cw", ANGLE, ANGLE, ANGLE), {}, "angle"),
         (table("angle [deg],ccw,cw", ANGLE, ANGLE, ANGLE), {}, "ccw"),
+        (table("angle [deg],ccw [Nm],cw [Nm]", ANGLE, ANGLE, ANGLE), {}, "ccw [Nm]"),
         (
             table("x_mm,y_mm", 150 * np.cos(np.radians(ANGLE)), 150 * np.sin(np.radians(ANGLE))),
             {"radius_mm": 100.0},

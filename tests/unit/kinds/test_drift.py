@@ -549,6 +549,8 @@ def test_a_zero_of_a_probe_that_read_nothing_is_left_out(tmp_path: Path) -> None
     ]:
         path.write_text("\n".join([f"time [min],Z {other} [µm],T [°C]", *rows]), encoding="utf-8")
         assert not is_drift_log(path), other
+    path.write_text("\n".join(["time [min],Z [Nm],T [°C]", *rows]), encoding="utf-8")
+    assert not is_drift_log(path)
     for asked in ("frame setpoint", "Target temp"):
         heads = f"time [min],Z [µm],frame [°C],{asked} [°C]"
         path.write_text("\n".join([heads, *(f"{r},20" for r in rows)]), "utf-8")

@@ -742,6 +742,8 @@ def test_readings_above_the_first_title_of_a_direction_are_not_dropped(tmp_path:
         ("# error: commanded minus measured\nTarget [mm],fwd 1 [µm],rev 1 [µm]\n0,1,2\n9,2,3", "position_table.sign"),
         ("consigne - mesure\nCible [mm],aller 1 [µm],retour 1 [µm]\n0,1,2\n9,2,3", "position_table.sign"),
         ("Target [mm],corr fwd 1 [µm],corr rev 1 [µm]\n0,1,2\n9,2,3", "position_table.sign"),
+        ("Target [mm],torque fwd 1 [Nm],torque rev 1 [Nm]\n0,1,2\n9,2,3", "position_table.unit"),
+        ("Target,fwd 1,rev 1\nmm,Nm,Nm\n0,1,2\n9,2,3", "position_table.unit"),
         # The targets stand below heads of directions, and what was measured below ones of positions.
         (
             "Andata: target [mm],Posizione misurata 1 [mm],Ritorno: target [mm],Posizione misurata 1 [mm]\n0,1,0,2\n9,10,9,11",

@@ -319,6 +319,7 @@ def test_channels_of_temperatures_are_no_probes(tmp_path: Path, heads: str) -> N
             "Z position [mm]",
         ),
         *("X once per turn [µm]", "Master form [µm]", "X filtered [µm]", "Tiefpass [µm]", "async [µm]", "Summe [µm]"),
+        *("torque [Nm]", "X-Y [µm]", "X LSC [µm]"),
     ],
 )
 def test_what_no_probe_read_is_no_run(tmp_path: Path, beside: str) -> None:
