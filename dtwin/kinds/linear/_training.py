@@ -57,11 +57,17 @@ class Screw:
 def screw_of(test: LinearTest, where: str) -> Screw:
     """Return what a test shows of the screw."""
     if not test.pitch_mm or len(test.position_mm) < 2:
+        scale = test.pitch_mm == 0.0
         raise InputError(
-            "the pitch of the screw is needed",
+            "these equations are of a screw, and a linear scale measures the axis"
+            if scale
+            else "the pitch of the screw is needed",
             code="lathe.pitch",
             where=where,
-            hint="screw_pitch_mm under [campaign.machine_geometry]",
+            got="screw_pitch_mm = 0" if scale else "",
+            hint="dtwin twin correct makes a correction of its twin, without a screw"
+            if scale
+            else "screw_pitch_mm under [campaign.machine_geometry]",
         )
     averages = averages_of(test)
     phases = phases_of(test.position_mm, test.pitch_mm)

@@ -16,6 +16,7 @@ from dtwin.kinds.linear._correction import _Flanks, _pitch_mm, _reach_mm, _test_
 from dtwin.kinds.linear._gates import along, positioning_gates, registered_positioning_gates, screw_metrics
 from dtwin.kinds.linear._plan import linear_plan
 from dtwin.kinds.linear._simulate import simulate_lathe, virtual_lathe
+from dtwin.kinds.linear._training import screw_of
 from dtwin.physics.effect import Effect, Instance, Law, Parameter
 from dtwin.physics.fit import fit
 from dtwin.physics.library import Library
@@ -180,5 +181,8 @@ def test_a_correction_is_not_judged_by_one_run(worn: Observations) -> None:
     with pytest.raises(InputError, match="cannot be judged"):
         _test_of_runs(one)
     test = _test_of_runs(worn)
+    with pytest.raises(InputError, match="of a screw") as refused:
+        screw_of(replace(test, pitch_mm=0.0), "campaign a")
+    assert "dtwin twin correct" in str(refused.value.hint)
     assert (test.forward_um.shape, test.left_out) == ((63, 3), 0)
     assert np.array_equal(test.reverse_um[:, 1], worn.y_um[(worn.run_of == 1) & (worn.sense < 0)][0])
