@@ -248,7 +248,17 @@ def _source(
     number = UNREGISTERED if version is None else version.version
     if version is None or "twin" not in version.tags:
         return Source(bundle, state, None, number)
-    whole = paths_of(home, library, version.tags["twin"], int(version.tags["twin_version"]))
+    told = version.tags.get("twin_version", "")
+    if not told.isdecimal():
+        raise InputError(
+            "the registry does not say of which version of its twin a correction is",
+            code="export.tags",
+            where=f"version {number} of {version.machine}",
+            got=f"twin_version {told[:40]}",
+            allowed="a number",
+            hint="somebody changed it on MLflow's page: dtwin twin correct registers the twin's correction again",
+        )
+    whole = paths_of(home, library, version.tags["twin"], int(told))
     twin = whole.on(version.tags.get("twin_campaign", whole.campaign))
     kept = tuple(t for t in twin.terms if choose(t).included)
     if version.tags.get("trial_only"):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 from dtwin.train.registry import RegisteredVersion, Registry
@@ -12,8 +13,8 @@ _PARENT = "mlflow.parentRunId"
 def training_metrics(registry: Registry, version: RegisteredVersion) -> dict[str, float]:
     """Return the metrics of the training that a version comes from."""
     client = registry.client
-    tags = client.get_run(version.run_id).data.tags
-    return dict(client.get_run(tags[_PARENT]).data.metrics) if _PARENT in tags else {}
+    parent = _parent_of(client.get_run(version.run_id).data.tags)
+    return dict(client.get_run(parent).data.metrics) if parent else {}
 
 
 def training_candidates(registry: Registry, version: RegisteredVersion) -> list[dict[str, Any]]:
@@ -22,7 +23,9 @@ def training_candidates(registry: Registry, version: RegisteredVersion) -> list[
     Returns ``name``, ``params`` and ``metrics`` of each, as they were logged.
     """
     run = registry.client.get_run(version.run_id)
-    parent = run.data.tags.get(_PARENT, "")
+    parent = _parent_of(run.data.tags)
+    if not parent:
+        return []
     siblings = registry.client.search_runs([run.info.experiment_id], f"tags.`{_PARENT}` = '{parent}'")
     return [
         {
@@ -32,3 +35,9 @@ def training_candidates(registry: Registry, version: RegisteredVersion) -> list[
         }
         for sibling in siblings
     ]
+
+
+def _parent_of(tags: Mapping[str, str]) -> str:
+    """Return which run is the training; nothing where the tag is no name of a run: anybody may change it on MLflow's page, and MLflow reads it as a part of a question."""
+    told = tags.get(_PARENT, "")
+    return told if told.isalnum() else ""

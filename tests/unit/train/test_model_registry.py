@@ -8,6 +8,7 @@ import socket
 import subprocess
 from pathlib import Path
 from threading import Thread
+from typing import cast
 
 import pytest
 from typer.testing import CliRunner
@@ -15,8 +16,11 @@ from typer.testing import CliRunner
 from dtwin.cli import app
 from dtwin.config import Home, home
 from dtwin.errors import InputError, StoreError
+from dtwin.lifecycle.export import _source
+from dtwin.serve.bundle import Bundle
 from dtwin.train._registry_client import client_of
-from dtwin.train.registry import Registry, model_name
+from dtwin.train.candidate_runs import training_candidates, training_metrics
+from dtwin.train.registry import RegisteredVersion, Registry, model_name
 
 
 @pytest.fixture(scope="module")
@@ -52,6 +56,15 @@ def test_versions_come_newest_first_with_their_aliases_and_tags(registry: Regist
 def test_a_name_that_would_be_part_of_another_question_is_refused(registry: Registry) -> None:
     with pytest.raises(InputError, match="not a usable name"):
         registry.versions("a' or name LIKE '%")
+
+
+def test_tags_that_somebody_changed_in_mlflow_end_in_no_traceback(registry: Registry) -> None:
+    with registry.open_run("one", {"mlflow.parentRunId": "x' or '"}) as run:
+        pass
+    version = RegisteredVersion("m001", "1", run, (), {"twin": "x", "twin_version": "v2"}, "")
+    assert (training_candidates(registry, version), training_metrics(registry, version)) == ([], {})
+    with pytest.raises(InputError, match="which version of its twin"):
+        _source(registry.home, cast(Bundle, None), "candidate", version, None)
 
 
 def test_an_experiment_that_was_deleted_in_mlflow_is_said_and_can_be_restored(registry: Registry) -> None:
