@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dtwin.physics.candidates import probes
+from dtwin.physics.fit import shaped
 from dtwin.physics.observations import Observations
 from dtwin.physics.problem import Problem, Term, setup_columns, weighted_like
 from dtwin.physics.score import NoiseLevel, misfit, noise_level
@@ -71,6 +72,11 @@ class Part:
         assert self.problem.noise is not None
         white = weighted_like(self.obs, self.terms, self.problem.noise)
         return noise_level(white, probes(white)), misfit(white) is not None
+
+    @cached_property
+    def shaped_alone(self) -> list[Term]:
+        """Its effects, shaped as by itself."""
+        return shaped(self.obs, self.terms)
 
     def spans(self) -> Iterator[tuple[int, slice]]:
         """Yield number within ``terms`` and columns of every effect."""

@@ -133,8 +133,7 @@ def fit(obs: Observations, terms: Sequence[Term], *, robust: bool = False, refin
     Raises:
         InputError: When an effect has nothing to act on in this campaign.
     """
-    terms = with_reference_lines(terms, [obs])
-    terms = _refined(obs, terms) if refine else terms
+    terms = shaped(obs, terms) if refine else with_reference_lines(terms, [obs])
     _require_visible(obs, terms)
     # Unweighted: weights by the noise would let the edges of steps decide, where shapes are
     # never quite those of the library.
@@ -268,21 +267,22 @@ def _require_visible(obs: Observations, terms: Sequence[Term]) -> None:
             )
 
 
-def _refined(obs: Observations, terms: Sequence[Term]) -> list[Term]:
-    """Refine shape parameters: variable projection, the linear part solved for each try.
+def shaped(obs: Observations, terms: Sequence[Term]) -> list[Term]:
+    """Return the effects of a fit with refined shapes: variable projection, the linear part solved for each try.
 
     First one after the other, each without those whose shape is still a guess; once more with
     all the others in place; then all together.
     """
-    shaped = [i for i, term in enumerate(terms) if term.instance.effect.refined_shapes(obs.several_speeds)]
+    terms = with_reference_lines(terms, [obs])
+    refinable = [i for i, term in enumerate(terms) if term.instance.effect.refined_shapes(obs.several_speeds)]
     out = list(terms)
-    if not shaped:
+    if not refinable:
         return out
     candidates = Candidates(obs, [term.instance for term in terms])
     within = [term for term in terms if term.instance.effect.within_condition]
     campaign = condensed(set_up(obs, [], within), candidates)
-    guessed = set(shaped)
-    for index in shaped * min(2, len(shaped)):
+    guessed = set(refinable)
+    for index in refinable * min(2, len(refinable)):
         guessed.discard(index)
         beside = campaign.given(t for i, t in enumerate(out) if i != index and i not in guessed)
         enough = _ROUGHLY * float(beside.residual @ beside.residual)

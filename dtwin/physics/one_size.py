@@ -20,6 +20,8 @@ def of_other_sizes(
     campaigns: Sequence[Observations],
     kind: str,
     library: Mapping[str, Effect],
+    *,
+    most: int | None = None,
 ) -> list[str]:
     """Return the effects, of some that one test cannot tell apart, that would need another size in another test.
 
@@ -27,15 +29,21 @@ def of_other_sizes(
     their sizes differ the machine has changed.
 
     ``known``: what is there besides.
+    ``most``: the rest is not asked once more than so many would need none.
     """
     same = [obs for obs in campaigns if obs.grid.kind == kind]
     if len({obs.conditions for obs in same}) < 2:
         return []
     beside = [term for term in known if any(seen_by(term, obs, library) is not None for obs in same)]
-    out = {label for label in labels if _differ([label], beside, same, library)}
-    # Some are the cause only together with the same on another axis, such as arcs of both axes that make three lobes.
+    out: set[str] = set()
+    asked = 0
     for name in dict.fromkeys(label.partition(" ")[0] for label in labels):
+        if most is not None and asked - len(out) > most:
+            break
         alike = [label for label in labels if label.partition(" ")[0] == name]
+        asked += len(alike)
+        out.update(label for label in alike if _differ([label], beside, same, library))
+        # Some are the cause only together with the same on another axis, such as arcs of both axes that make three lobes.
         if len(alike) > 1 and not out.issuperset(alike) and _differ(alike, beside, same, library):
             out.update(alike)
     return [label for label in labels if label in out]

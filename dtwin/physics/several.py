@@ -13,7 +13,7 @@ from dtwin.physics import localise
 from dtwin.physics._pooled import Part, normal_inverse, own_columns, solve_pooled, spread
 from dtwin.physics._reference_lines import with_reference_lines
 from dtwin.physics.effect import Effect
-from dtwin.physics.fit import Alias, Estimate, Fit, estimates, find_aliases, fit, residual_um, run_weights, setups
+from dtwin.physics.fit import Alias, Estimate, Fit, estimates, find_aliases, residual_um, run_weights, setups, shaped
 from dtwin.physics.machine_terms import is_shared, is_wave, seen_by
 from dtwin.physics.observations import Observations
 from dtwin.physics.problem import Term, unweighted_with_noise
@@ -196,7 +196,7 @@ def _proposed(pool: Pool, number: int) -> list[Mapping[str, float]]:
         rest[mine] = 0.0
         rest[: part.obs.n_setup] = 0.0
         without = part.obs.with_y(residual_um(part.obs, part.columns, rest))
-        out += [fit(without, [here]).terms[0].shape, fit(part.obs, part.terms).terms[i].shape]
+        out += [shaped(without, [here])[0].shape, part.shaped_alone[i].shape]
     return out
 
 

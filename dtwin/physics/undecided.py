@@ -63,14 +63,20 @@ def undecided_together(tests: Sequence[MachineTest], library: Mapping[str, Effec
     terms = {key_of(term): term for test in tests for term in test.known}
     campaigns = [test.obs for test in tests]
     shortest: dict[Hashable, tuple[str, ...]] = {}
-    for test, own in zip(tests, groups, strict=True):
-        for term, group in zip(test.known, own, strict=True):
-            others = [label for label in left.get((test.campaign, group), group) if label != term.label]
-            known = [each for key, each in terms.items() if key != key_of(term)]
-            differ = of_other_sizes(others, known, campaigns, test.obs.grid.kind, library)
-            others = [label for label in others if label not in differ]
-            shortest[key_of(term)] = min(shortest.get(key_of(term), group), (term.label, *others), key=len)
-    return tuple(group for group in shortest.values() if len(group) > 1)
+    doubted = [
+        (test, term, [label for label in left.get((test.campaign, group), group) if label != term.label])
+        for test, own in zip(tests, groups, strict=True)
+        for term, group in zip(test.known, own, strict=True)
+    ]
+    # A test of few runs leaves most of the library open: it need not be asked where another one leaves less.
+    for test, term, others in sorted(doubted, key=lambda doubt: len(doubt[2])):
+        known = [each for key, each in terms.items() if key != key_of(term)]
+        so_far = shortest.get(key_of(term))
+        most = None if so_far is None else len(so_far) - 1
+        differ = of_other_sizes(others, known, campaigns, test.obs.grid.kind, library, most=most)
+        group = (term.label, *(label for label in others if label not in differ))
+        shortest[key_of(term)] = group if so_far is None else min(so_far, group, key=len)
+    return tuple(group for key in terms if len(group := shortest[key]) > 1)
 
 
 def _doubts(test: MachineTest, library: Mapping[str, Effect]) -> dict[str, tuple[str, ...]]:
