@@ -8,7 +8,7 @@ from typing import Any
 import plotly.graph_objects as go
 from jinja2 import Environment
 
-from dtwin.report.html import drawing, figure_html, told_figure
+from dtwin.report.html import drawing, figure_html, sheet_style, told_figure
 from dtwin.report.language import Language
 from dtwin.report.sheet import headline_budget, number_of, overview
 from dtwin.units import shown_unit
@@ -21,7 +21,7 @@ _PAGE = """<!doctype html>
  content="default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; img-src data: blob:">
 <title>{{ say("Test certificate") }} {{ facts.campaign }}</title>
 <style>
-@page { size: A4; margin: 14mm; }
+{{ sheet_style }}
 body { font: 14px/1.4 system-ui, "DejaVu Sans", sans-serif; color: #14212b; margin: 0 auto; max-width: 182mm; padding: 1rem 0; }
 h1 { font-size: 22px; margin: 0; } h2 { font-size: 16px; margin: 18px 0 6px; }
 table { border-collapse: collapse; width: 100%; } td, th { padding: 3px 6px; border-bottom: 1px solid #d9e0e5; text-align: right; }
@@ -109,6 +109,7 @@ def certificate_page(
             sheet=sheet,
             budget=headline_budget(sheet),
             parts=parts,
+            sheet_style=sheet_style(f"{say('Test certificate')}: {facts['machine']}, {facts['campaign']}"),
             findings=findings_told,
             notes=notes,
             english=language != "en" and any(told[-1] == "en" for told in [*findings_told, *notes]),

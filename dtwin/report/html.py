@@ -12,6 +12,7 @@ from functools import cache
 import plotly.graph_objects as go
 import plotly.io as pio
 from jinja2 import Environment
+from markupsafe import Markup
 from plotly.offline import get_plotlyjs
 
 from dtwin.report.language import Language
@@ -42,7 +43,7 @@ pre { background: #f6f7f8; padding: .8rem; overflow: auto; font-size: .82rem; ma
 .pair { display: grid; grid-template-columns: repeat(2, minmax(0, 1fr)); gap: 1rem; }
 @media (max-width: 960px) { .pair { grid-template-columns: minmax(0, 1fr); } }
 button { font: inherit; padding: 8px 14px; }
-@page { size: A4; margin: 14mm; }
+{{ sheet }}
 @media print { button { display: none; } body { padding: 0; max-width: none; font-size: 12px; } .pair { display: block; } .pair > div { zoom: .85; } section > div > div { break-inside: avoid; } .slider-container { display: none; }
  table { display: table; font-size: 9px; } th, td { white-space: normal; padding: 2px 3px; } tr { break-inside: avoid; } h2 { break-after: avoid; } pre { max-height: none; white-space: pre-wrap; font-size: 8px; } }
 </style></head><body>
@@ -146,12 +147,25 @@ def page(title: str, subtitle: str, sections: Sequence[Section], words: Language
         .from_string(_PAGE)
         .render(
             title=words.cell(title),
+            sheet=sheet_style(words.cell(title)),
             subtitle=words.cell(subtitle),
             sections=rendered,
             words=words,
             english=words.code != "en" and any(s.code or "en" in spoken(s) for s in sections),
             drawing=drawing(),
         )
+    )
+
+
+def sheet_style(told: str) -> Markup:
+    """Return the style of printed sheets: what they are of, and which of how many, at the foot of each."""
+    # As codes, a name from a file cannot end the text.
+    text = "".join(sign if sign.isalnum() else f"\\{ord(sign):x} " for sign in told)
+    of = 'counter(page) " / " counter(pages)'
+    look = "font: 9px system-ui, sans-serif; color: #555;"
+    return Markup(
+        f'@page {{ size: A4; margin: 14mm 14mm 16mm; @bottom-left {{ content: "{text}"; {look} }} '
+        f"@bottom-right {{ content: {of}; {look} }} }}"
     )
 
 

@@ -20,6 +20,10 @@ def test_a_page_fetches_nothing_and_escapes_everything() -> None:
     figure = polar_figure({EVIL: (angle, np.sin(angle))}, 100.0, title="polar")
     section = Section(EVIL, [EVIL], [("error", EVIL)], [Table([EVIL], [[EVIL]])], [figure], [EVIL])
     content = page(EVIL, EVIL, [section])
+    (style,) = re.findall(r"<style>(.*?)</style>", content, re.S)
+    # Each printed sheet says what it is of, and which of how many it is.
+    assert 'content: "\\3c script\\3e alert' in style
+    assert 'counter(page) " / " counter(pages)' in style
     assert "<script>alert(1)" not in content
     assert "<img src=x" not in content
     outside = re.sub(r"<script>.*?</script>", "", content, flags=re.S)
