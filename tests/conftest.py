@@ -208,13 +208,27 @@ _OF_CERTIFICATES = [
 
 @pytest.fixture(autouse=True)
 def _german(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """What dtwin finds in a test of a kind of campaign that has a certificate can be said in German."""
-    if request.path.parent.name != "kinds":
+    """What dtwin finds in a test of a kind of campaign that has a certificate, or what a twin lacks, can be said in German."""
+    folder = request.path.parent.name
+    if folder not in ("kinds", "physics"):
         yield
         return
+    from dtwin.physics.diagnosis import Diagnosis
     from dtwin.report.language import _german_of
 
     told: set[str] = set()
+    if folder == "physics":
+        diagnosed = Diagnosis.__init__
+
+        def tell_it(self: Diagnosis, *args: Any, **named: Any) -> None:
+            diagnosed(self, *args, **named)
+            told.update(
+                f"{before}: {said}"
+                for before, said in ((self.verdict, self.headline), ("next", (self.next_experiment or {}).get("text")))
+                if said
+            )
+
+        monkeypatch.setattr(Diagnosis, "__init__", tell_it)
     made = Finding.__init__
 
     def tell(self: Finding, *args: Any, **named: Any) -> None:

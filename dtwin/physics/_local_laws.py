@@ -63,15 +63,15 @@ def laws_in_words(
     at_mm = bare.obs.grid.points
     ends = float(at_mm.min()), float(np.ptp(at_mm))
     said = [_said(law, size_um, *ends) for law, size_um in zip(laws, sizes_um.tolist(), strict=True)]
-    return float(np.sqrt(does @ does / bare.obs.mask.sum())), " and ".join(said)
+    return float(np.sqrt(does @ does / bare.obs.mask.sum())), "; ".join(said)
 
 
 def _said(law: Term, size_um: float, start_mm: float, travel_mm: float) -> str:
     place, late = law.shape[PLACE], law.shape.get(LATE, 0.0)
-    at = f"of {shown_number(size_um, 2)} µm at {start_mm + place * travel_mm:z.0f} mm"
+    at = f"{shown_number(size_um, 2)} µm at {start_mm + place * travel_mm:z.0f} mm"
     if law.instance.effect.name == END.name:
-        return f"a growth towards an end {at}, which falls to a third within {law.shape[REACH] * travel_mm:z.0f} mm"
+        return f"a growth towards an end of {at}, which falls to a third within {law.shape[REACH] * travel_mm:z.0f} mm"
     if wide := law.shape.get(REACH):
-        return f"a bump {at}, {wide * travel_mm:z.0f} mm wide at half its height"
+        return f"a bump of {at}, {wide * travel_mm:z.0f} mm wide at half its height"
     back = f", on the way back at {start_mm + (place - late) * travel_mm:z.0f} mm"
-    return f"a step {at}" + back * (late > 0.0)
+    return f"a step of {at}" + back * (late > 0.0)

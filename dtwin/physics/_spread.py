@@ -73,10 +73,10 @@ def unsteady(obs: Observations, residual_um: Floats) -> str:
     share = np.bincount(harmonic, power) / power.sum()
     names = {0: "the radius", 1: "the centre"} if obs.grid.in_plane else {0: "the zero"}
     most = [name for number, name in names.items() if share[number] > _MOST]
-    return (
-        f"repeats differ by {shown_number(differ_um, 2)} µm, neighbouring places of a run by {shown_number(scatter_um, 2)} µm: "
-        f"{f'most of it is {most[0]}, which moves' if most else 'the error itself changes'} between runs"
-    )
+    said = f"repeats differ by {shown_number(differ_um, 2)} µm, neighbouring places of a run by {shown_number(scatter_um, 2)} µm"
+    if most:
+        return f"{said}: most of it is {most[0]}, which moves between runs"
+    return f"{said}: the error itself changes between runs"
 
 
 def _local(obs: Observations, deviation: Floats, rows: Indices, instance: Instance) -> float:

@@ -79,7 +79,7 @@ def learned_effect(name: str) -> Effect:
         meaning="Found in the residual, not understood: a description, no cause.",
         formula=f"(a cos({harmonic}t) + b sin({harmonic}t)) (F / 50 mm/s)^{feed:g} "
         f"(R / 100 mm)^{radius:g}" + (" d" if parity == "odd" else ""),
-        looks_like=f"{harmonic} waves per turn",
+        looks_like=f"{harmonic} waves per turn.",
         separate_by="Measure at feeds and radii that were not used to find it.",
         remedy="Find the cause before correcting for it.",
         reference="Learned from the residual of this twin; provisional.",

@@ -22,7 +22,7 @@ def machine_report(history: Mapping[str, Any], language: str = "en") -> str:
     """Return the report of a machine as one page that needs nothing else; ``history``: as ``machine_history`` returns it."""
     last = f", the last on {history['last_test']}" if history["last_test"] else ""
     about = f"Tests: {len(history['campaigns'])}{last}; made by dtwin"
-    sections = [_changes(history), *_over_time(history), _tests(history), _known(history)]
+    sections = [_changes(history), *_over_time(history), _tests(history), *_known(history)]
     words = Language(language, history["campaigns"])
     return page(f"Machine {history['machine']}", about, sections, words)
 
@@ -103,7 +103,7 @@ def _tests(history: Mapping[str, Any]) -> Section:
     )
 
 
-def _known(history: Mapping[str, Any]) -> Section:
+def _known(history: Mapping[str, Any]) -> list[Section]:
     facts = [(name, fact) for name, fact in history["facts"].items()]
     for axis, known in history["axes"].items():
         lengths = ", ".join(f"{name.removesuffix('_mm')} {shown_number(v, 6)} mm" for name, v in known.items())
@@ -115,4 +115,4 @@ def _known(history: Mapping[str, Any]) -> Section:
         *([Table(("tolerance", "limit"), limits)] if limits else []),
         *([Table(("day", "event", "note"), events)] if events else []),
     ]
-    return Section("What is known of it", [], [], tables)
+    return [Section("What is known of it", [], [], tables)] if tables else []

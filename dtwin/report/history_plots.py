@@ -13,6 +13,13 @@ from dtwin.report.plots import COLOURS, styled
 
 _BAND, _FLOOR_BAND = "rgba(0,114,178,0.2)", "rgba(153,153,153,0.25)"
 
+_DAY_MS = 86_400_000
+_DAYS = [
+    {"dtickrange": [None, _DAY_MS - 1], "value": "%H:%M\n%Y-%m-%d"},
+    {"dtickrange": [_DAY_MS, "M1"], "value": "%Y-%m-%d"},
+    {"dtickrange": ["M1", None], "value": "%Y-%m"},
+]
+
 
 def series_figure(series: Mapping[str, Any], events: Sequence[Mapping[str, Any]]) -> go.Figure:
     """Return a figure over the days of its tests: levels between changes, the noise floor of tests about each, events, limits."""
@@ -78,7 +85,8 @@ def chart_figure(series: Mapping[str, Any]) -> go.Figure:
 
 
 def _over_days(figure: go.Figure, days: Sequence[str]) -> go.Figure:
-    """Show a day before and after tests of one day, which would else stand over fractions of a second."""
+    """Write days as everywhere, in no language; show one before and after tests of one day, which would else stand over fractions of a second."""
+    figure.update_xaxes(tickformatstops=_DAYS)
     # Some tests state a time zone, others none.
     first, last = (datetime.fromisoformat(day).replace(tzinfo=None) for day in (min(days), max(days)))
     if last - first < timedelta(days=2):

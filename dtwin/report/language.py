@@ -22,12 +22,19 @@ _WORDS: Mapping[str, str] = _CERTIFICATE["words"] | _TWINS["words"]
 _TITLES: Mapping[str, str] = _TWINS["titles"]
 """What stands alone."""
 _EXACT = {clause: german for clause, german in _CLAUSES.items() if "{}" not in clause}
-_PIECES = [(clause.split("{}"), german) for clause, german in _CLAUSES.items() if "{}" in clause]
+# What is said in more words comes first: ``{} ({} %)`` would be the end of a longer clause.
+_PIECES = sorted(
+    ((clause.split("{}"), german) for clause, german in _CLAUSES.items() if "{}" in clause),
+    key=lambda pair: -sum(map(len, pair[0])),
+)
 # A longer text is no finding of dtwin's. Names that stand for ``{}`` have no more blanks than these.
 _LONGEST, _MOST_SPACES = 1500, 2
 _WORD = re.compile("[A-Za-z]{3}")
+_FUNCTION = re.compile(r"\b(?:cos|sin|exp)\b")
 _WORDS_OF = re.compile("[A-Za-z]{3,}")
-_LIST = re.compile("[,;] | or ")
+_LIST = re.compile("[,;] | or | [+] ")
+# An effect by the name that commands take, with its axis: what people name has no blank.
+_LABEL = re.compile(r"[a-z]\w* (?:[A-Z0-9]{1,4}|axis_\d)")
 _MORE = re.compile(r"and (\d+) more")
 _AXIS = re.compile(r"[A-Z0-9]{1,4}|axis_\d")
 _NUMBER = r"[-+]?\d[\d.]*(?:e[-+]?\d+)?"
@@ -48,17 +55,20 @@ def _german_of(text: str, tell: Callable[[object], str]) -> str | None:
         every = [clause(one) for one in part.split(", ")] if ", " in part else [None]
         if None not in every:
             return ", ".join(map(str, every))
+        named, colon, rest = part.partition(": ")
+        who = _titled(named) if colon else None
+        if who is not None and (said := clause(rest)) is not None:
+            return f"{who}: {said}"
         for pieces, german in _PIECES:
             if (between := _between(pieces, part)) is not None:
                 words = [_worded(word) or clause(word) or _name(word, tell) for word in between]
                 if None not in words:
                     return german.format(*words)
-        named, colon, rest = part.partition(": ")
         if colon and (said := clause(rest)) is not None:
             # A number is the size of what is known by name.
-            who = _titled(named) or clause(named) or (None if _sized(rest, tell) else _name(named, tell))
+            who = clause(named) or (None if _sized(rest, tell) else _name(named, tell))
             return None if who is None else f"{who}: {said}"
-        return _sized(part, tell)
+        return _sized(part, tell) or _labels(part)
 
     if len(text) > _LONGEST:
         return None
@@ -81,7 +91,7 @@ def _titled(text: str) -> str | None:
         return _TITLES[text]
     if more := _MORE.fullmatch(text):
         return f"und {more[1]} weitere"
-    for between, german in ((" or ", " oder "), ("; ", "; ")):
+    for between, german in ((" or ", " oder "), ("; ", "; "), (" + ", " + ")):
         if between in text:
             every = [_titled(one) for one in text.split(between)]
             return None if None in every else german.join(map(str, every))
@@ -97,6 +107,11 @@ def _titled(text: str) -> str | None:
         else:
             return None
     return ", ".join(told)
+
+
+def _labels(text: str) -> str | None:
+    """Return effects as commands name them, each with its axis, or several; None for another text."""
+    return _titled(text) if _LIST.search(text) or _LABEL.fullmatch(text) else None
 
 
 def _sized(text: str, tell: Callable[[object], str]) -> str | None:
@@ -127,14 +142,22 @@ def _between(pieces: Sequence[str], text: str) -> list[str] | None:
 
 
 def _name(text: str, tell: Callable[[object], str]) -> str | None:
-    if (text[:1].isupper() or _LIST.search(text)) and (title := _titled(text)):
+    if (text[:1].isupper() and (title := _titled(text))) or (title := _labels(text)):
         return title
     if text.startswith("dtwin "):
         # A command is the same in every language.
         return text
+    for between, german in ((" and ", " und "), (" or ", " oder ")):
+        if between in text:
+            every = [_WORDS.get(one) or _name(one, tell) for one in text.split(between)]
+            return None if None in every else german.join(map(str, every))
     told = tell(text)
-    # Names and numbers, or phrases of which every word is known.
-    known = _are_names(text) or not {*_WORDS_OF.findall(text)} & {*_WORDS_OF.findall(told)}
+    # Formulas, names and numbers, or phrases of which every word is known.
+    known = (
+        not _WORD.search(_FUNCTION.sub("", text))
+        or _are_names(text)
+        or not {*_WORDS_OF.findall(text)} & {*_WORDS_OF.findall(told)}
+    )
     return told if known else None
 
 

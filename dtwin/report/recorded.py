@@ -12,6 +12,15 @@ _UNDATED = {
 }
 
 
+_NAMED = {
+    "repair": "repair of",
+    "crash": "crash of",
+    "moved": "move of",
+    "compensated": "compensation of",
+    "other": "event of",
+}
+
+
 def contradiction_words(what: str, between: Sequence[str] = (), events: Sequence[_Events] = ()) -> str:
     """Return what a contradiction may be.
 
@@ -43,8 +52,8 @@ def contradiction_words(what: str, between: Sequence[str] = (), events: Sequence
 
 def events_words(events: _Events) -> str:
     """Return events with their days and notes, in a line; empty without any."""
-    return ", ".join(f"{_what(e)} of {e['on']}" + (f" ({e['note']})" if e["note"] else "") for e in events)
+    return ", ".join(f"{_what(e)} {e['on']}" + (f" ({e['note']})" if e["note"] else "") for e in events)
 
 
 def _what(event: Mapping[str, str]) -> str:
-    return {"moved": "move", "compensated": "compensation", "other": "event"}.get(event["what"], event["what"])
+    return _NAMED.get(event["what"], f"{event['what']} of")

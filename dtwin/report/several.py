@@ -99,15 +99,15 @@ def contradiction_lines(document: Mapping[str, Any]) -> list[str]:
     out = []
     for one in document.get("contradictions", ()):
         size = with_k2(abs(one["difference"]), one["k2"], one["unit"])
-        side = "above" if one["difference"] > 0.0 else "below"
-        since = f" since {one['since'][:10]}" if one["since"] else ""
+        side = "above that of" if one["difference"] > 0.0 else "below that of"
+        what = f"contradiction since {one['since'][:10]}" if one["since"] else "contradiction"
         where = f"{one['effect']} {one['axis']}".rstrip()
         rivals = (
             f", or {' or '.join(one['rivals'])}, which these tests cannot tell from it" if one.get("rivals") else ""
         )
         out.append(
-            f"contradiction{since}: {where} ({one['parameter'].replace('_', ' ')}) of {', '.join(one['campaigns'])} is "
-            f"{size} {side} that of {', '.join(one['others'])} (p = {one['p_value']:.1g}){rivals}: "
+            f"{what}: {where} ({one['parameter'].replace('_', ' ')}) of {', '.join(one['campaigns'])} is "
+            f"{size} {side} {', '.join(one['others'])} (p = {one['p_value']:.1g}){rivals}: "
             + contradiction_words(one["what"], one.get("between", ()), one.get("events", ()))
         )
     return out
@@ -128,7 +128,7 @@ def _settled_lines(result: Mapping[str, Any]) -> list[str]:
         others = {j["there"]["started"][:10] for j in one["judged"] if j["said"] != "agrees"}
         days = sorted({started.get(one["campaign"], ""), *others})
         unless = f", unless the machine changed between {days[0]} and {days[-1]}" if len(days) > 1 and days[0] else ""
-        judged = "; ".join(f"{j['label']} {words[j['said']]} {j['there']['campaign']}" for j in one["judged"])
+        judged = ", ".join(f"{j['label']} {words[j['said']]} {j['there']['campaign']}" for j in one["judged"])
         left = " or ".join(one["left"]) or "none of them"
         out.append(
             f"settled: {one['campaign']} could not tell {', '.join(one['group'])}; it is {left} ({judged}){unless}"

@@ -351,7 +351,7 @@ def _far_off(left_mm: Floats, rows: NDArray[np.int64] | None) -> str:
         return ""
     others = 1000.0 * rms(np.delete(size, far))
     which = ", ".join(str(n) for n in rows[far])
-    return f"; most of it is in row{'s' if len(far) > 1 else ''} {which}, the others leave {others:z.0f} µm: spoilt readings?"
+    return f"; most of it is in {'rows' if len(far) > 1 else 'row'} {which}, the others leave {others:z.0f} µm: spoilt readings?"
 
 
 def _beyond(grams: Grams, times: float) -> float:

@@ -25,6 +25,8 @@ from dtwin.errors import InputError
 from dtwin.kinds.registry import kind_named
 from dtwin.lake.store import Lake
 from dtwin.physics import localise
+from dtwin.physics.learned import learned_effect
+from dtwin.physics.learned_places import PLACES
 from dtwin.physics.library import Library
 from dtwin.pipeline.certificate import certificate, facts_of
 from dtwin.report.certificate import certificate_page
@@ -174,11 +176,13 @@ def test_findings_are_german_as_a_whole_or_not_at_all() -> None:
 
 def test_every_effect_has_german_words() -> None:
     words = Language("de")
-    for effect in Library([]).values():
+    learned = [learned_effect("learned_odd_h3_f1_r0"), *PLACES.values()]
+    for effect in [*Library([]).values(), *learned]:
         fault = f"Missing: {effect.title}, XY: 3.1 ± 0.2 µm/m. {effect.looks_like} {effect.remedy}"
         said, language = words.spoken(fault)
         assert (language, said[:9]) == ("de", "Es fehlt:"), fault
         assert "3,1 ± 0,2 µm/m" in said
+        assert words.spoken(f"next: {effect.separate_by}")[1] == "de", effect.separate_by
         for size in (*effect.parameters, *effect.shapes):
             assert size.name.removesuffix(f"_{size.unit.lower().replace('/', '_')}").replace("_", " ") in _TITLES
     assert words.cell("Backlash X") == "Umkehrspiel X"
@@ -225,8 +229,51 @@ def test_what_a_diagnosis_tells_is_german_in_a_german_report() -> None:
     page = page_of("a", "", sections, Language("de")).partition('<script type="application/gzip"')[0]
     assert "<pre" not in page
     assert re.findall('lang="en">([^<]*)', page) == []
-    for text in ("backlash X dazu", "Gewinn auf Ausgelassenem", "versuchen: dtwin twin add a backlash --axis X"):
+    for text in ("Umkehrspiel X dazu", "Gewinn auf Ausgelassenem", "versuchen: dtwin twin add a backlash --axis X"):
         assert text in page
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "next: measure every condition 3 times, in random order",
+        "next: double the highest feed (8000 mm/min), 3 times: tells scale_mismatch X from warming_growth X with a "
+        "probability of 98 %, friction X from backlash X + backlash Y with a probability of 88 %, about 2 min",
+        "next: another plane (ZX), 3 times: tells friction X from backlash X with a probability of 88 %, about 32 min",
+        "next: heat bed_c alone, with ram_c and head_c at rest, then the other way round; a cycle an hour: exx follows "
+        "the one that drives it",
+        "law: 4.1 µm d cos(3t + p) (F/F0)^2",
+        "unknown_effect: no known effect explains it: a step of 4.1 µm at 120 mm, on the way back at 110 mm; a bump of "
+        "2 µm at 40 mm, 30 mm wide at half its height",
+        "unknown_effect: backlash X may be it, which 12 runs do not tell: odd in direction, harmonic 2 (70 %)",
+        "unknown_effect: no known effect explains what is left, 2.1 of 5 µm: even in direction, harmonic 3 (80 %); it "
+        "moves with bed_c",
+        "In words: mixed in direction, spread over many harmonics, does not change with feed",
+        "nothing_missing: residual is at the noise floor; repeats differ by 0.5 µm, neighbouring places of a run by 0.1 "
+        "µm: most of it is the centre, which moves between runs",
+        "need_repeats: no condition was repeated: the noise floor is not known, it is at least 0.3 µm (harmonics above "
+        "90); it looks like backlash X; squareness XY or scale_mismatch XY",
+        "contradiction since 2026-03-01: backlash X (backlash) of a is 3.1 ± 0.2 µm above that of b (p = 1e-05): since "
+        "the repair of 2026-02-01 (new nut, X), which is recorded between these tests",
+        "contradiction: backlash X (backlash) of a, c is 3.1 ± 0.2 µm below that of b (p = 1e-05), or friction X, which "
+        "these tests cannot tell from it: the machine changed, or one of them is mistaken, though the crash of "
+        "2026-02-01 is recorded before it",
+        "settled: bar could not tell scale_mismatch X, lead_error X; it is lead_error X (lead_error X agrees with laser, "
+        "scale_mismatch X is ruled out by laser), unless the machine changed between 2026-01-01 and 2026-02-01",
+        "not told: thermal_growth X: temperature_c did not change",
+        "unknown_effect: 120 µm are left, 3.1 times the scatter of repeats: repeatable, and no effect here surely "
+        "explains it; sag of the wrist, J4 to J6, is not looked for; most of it is in rows 4, 9, the others leave 12 "
+        "µm: spoilt readings?",
+        "missing_effect: joint_offset J2 (Zero offset of a joint) takes 88.1 % of the squares on poses held out, as "
+        "well as joint_offset J3",
+        "ambiguous: bed_c or time alone: this log does not tell which",
+    ],
+)
+def test_what_a_twin_lacks_and_which_test_tells_is_german(text: str) -> None:
+    said, language = Language("de").read(text)
+    assert language == "de"
+    english = {"from", "with", "the", "and", "or", "of", "to", "mixed", "odd", "even", "harmonic", "times"}
+    assert english & {*re.findall("[a-z]+", said.lower())} == set()
 
 
 def test_every_translated_clause_is_said_somewhere() -> None:
@@ -241,8 +288,9 @@ def test_every_translated_clause_is_said_somewhere() -> None:
     said = re.sub(r"\{\w+\}", "\n", said)
     # What is put together of words.
     said += "".join(f"{localise._trend(slope)} with {over}\n" for slope in (-1, 0, 1) for over in ("feed", "radius"))
+    said += "\n".join(effect.title for effect in PLACES.values())
     said += residual_map(np.ones((1, 360)), ["c"], floor_um=0.5, title="Mean residual").layout.title.text
-    pieces = {piece.strip(" ,:;") for clause in _CLAUSES for piece in clause.split("{}")}
+    pieces = {piece.strip(" ,:;()") for clause in _CLAUSES for piece in clause.split("{}")}
     assert [piece for piece in sorted(pieces) if piece not in said] == []
 
 

@@ -31,8 +31,12 @@ def test_tests_of_one_day_stand_between_the_days_beside_it(days: list[str]) -> N
     assert first < datetime.fromisoformat(days[0]).replace(tzinfo=None) < last
 
 
-def test_tests_of_several_days_take_the_room_they_need() -> None:
-    assert series_figure(series(["2026-03-02T08:00:00", "2026-05-02T08:00:00"]), []).layout.xaxis.range is None
+def test_tests_of_several_days_take_the_room_they_need_and_months_are_numbers() -> None:
+    axis = series_figure(series(["2026-03-02T08:00:00", "2026-05-02T08:00:00"]), []).layout.xaxis
+    assert axis.range is None
+    # Names of months would be English in a German report.
+    assert axis.tickformatstops
+    assert not [stop.value for stop in axis.tickformatstops if "%b" in stop.value]
 
 
 def test_the_noise_floor_of_tests_is_drawn_about_each_level_and_named_once() -> None:
