@@ -75,7 +75,8 @@ class DtwinError(Exception):
         """The allowed name that is most like what was given; None when none is."""
         got, names = self.got or "", self._names()
         close = get_close_matches(got, names, n=1, cutoff=0.7) or [name for name in names if _slipped(got, name)][:1]
-        return close[0] if close and close[0] not in got.split(", ") else None
+        # A word of what was given is no other name for it, as the unit behind a number.
+        return close[0] if close and close[0] not in re.split(", | ", got) else None
 
     def _names(self) -> list[str]:
         """Return the allowed names; a sentence about what is allowed is no list of names."""

@@ -126,8 +126,8 @@ _ENGLISH = tuple(
 )
 """Words of heads in other languages."""
 _WITH_UNIT = re.compile("^(.*?)\\s*[\\[(\uff08\uff3b]\\s*([^\\])\uff09\uff3d]*?)\\s*[\\])\uff09\uff3d]\\s*$")
-# Weg in µm, Weg / µm; a lone letter may be the name of a channel.
-_SAID = re.compile(r"^(.+?)(?:\s+in\s+|\s*/\s*)((?![afgv]$)\S+)$", re.I)
+# Weg in µm, Weg / µm, Weg µm; a lone letter may be the name of a channel.
+_SAID = re.compile(r"^(.+?)(?:\s+in\s+|\s*/\s*|\s+(?=(?:[µμu]m|mm|°|deg)$))((?![afgv]$)\S+)$", re.I)
 
 
 @dataclass(frozen=True)

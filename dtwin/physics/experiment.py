@@ -11,7 +11,7 @@ import numpy as np
 import scipy
 
 from dtwin.errors import InputError
-from dtwin.physics.candidates import applicable
+from dtwin.physics.candidates import Candidates, applicable
 from dtwin.physics.diagnosis import Diagnosis
 from dtwin.physics.effect import Effect
 from dtwin.physics.grid import PathCondition
@@ -109,6 +109,8 @@ def next_experiment(
     best = min(tried, key=_rank, default=None)
     advice = pairs[0][0].instance.effect.separate_by
     if best is None or max(best.powers) < _HOPELESS:
+        # Only one of two may know what would tell it from the other.
+        advice = " ".join(dict.fromkeys((advice, pairs[0][1][0].instance.effect.separate_by)))
         return {
             "text": advice,
             "separates": _labels(pairs[0]),
@@ -304,7 +306,7 @@ def _proposal(text: str, conditions: list[Condition], *, new_setup: bool) -> Pro
 def _power(
     obs: Observations, known: Sequence[Term], wanted: Term, rivals: Sequence[Term], conditions: Sequence[Condition]
 ) -> float:
-    """Return the probability that rivals together are rejected when the wanted effect is the truth."""
+    """Return the probability that rivals together are rejected, in whatever shape, when the wanted effect is the truth."""
     problem = set_up(obs, known, [])
     if problem.noise is None:
         return 0.0
@@ -314,13 +316,17 @@ def _power(
     grown = _grown(obs, conditions)
     design = weighted_like(grown, known, problem.noise)
     profile = design.whitened(grown.regressors(wanted.instance, wanted.shape)) @ size
-    other = [design.whitened(grown.regressors(r.instance, r.shape)) for r in rivals]
-    imitated, _ = design.visible(np.concatenate(other, axis=1), least=min(map(least_visible, rivals)))
-    seen, share = design.visible(profile[:, None], imitated, least_visible(wanted))
-    if not seen.shape[1]:
+    left_over = 1.0
+    # Rivals of an effect have its shapes in common.
+    for shape in Candidates(obs, [r.instance for r in rivals]).grid(rivals[0].instance):
+        other = [design.whitened(grown.regressors(r.instance, shape)) for r in rivals]
+        imitated, _ = design.visible(np.concatenate(other, axis=1), least=min(map(least_visible, rivals)))
+        seen, share = design.visible(profile[:, None], imitated, least_visible(wanted))
+        left_over = min(left_over, share[0] if seen.shape[1] else 0.0)
+    if not left_over:
         return 0.0
     variance = float(np.nanmean(problem.noise.variance))
-    noncentrality = float((profile**2).sum() * share[0]) / variance
+    noncentrality = float((profile**2).sum() * left_over) / variance
     dof = float(grown.n_rows - len(grown.conditions))
     limit = f_quantile(0.05, (1, dof))
     return f_tail(limit, (1, dof), min(noncentrality, 1e4))

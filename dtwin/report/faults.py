@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Protocol, TypeVar
@@ -24,6 +25,7 @@ from dtwin.schema import Direction, Floats, Plane, RunMeta
 from dtwin.units import shown_number, shown_unit
 
 _PICTURE_PX = 72
+_LABEL = re.compile(r"\b[a-z]+(?:_[a-z]+)*\b(?: [A-Z]{1,2}\b)?")
 
 
 @dataclass(frozen=True)
@@ -134,6 +136,16 @@ def title_of(label: str, library: Mapping[str, Effect]) -> str:
     name, _, axis = label.partition(" ")
     title = library[name].title if name in library else name
     return f"{title} {axis}".rstrip()
+
+
+def in_titles(text: str, library: Mapping[str, Effect]) -> str:
+    """Return a text in which effects that stand by the names that commands take, with an axis or an underline, have their titles."""
+
+    def told(label: re.Match[str]) -> str:
+        name, _, axis = label[0].partition(" ")
+        return title_of(label[0], library) if name in library and (axis or "_" in name) else label[0]
+
+    return _LABEL.sub(told, text)
 
 
 def found_faults(diagnosis: Mapping[str, Any], library: Mapping[str, Effect]) -> list[list[_Fault]]:

@@ -113,12 +113,20 @@ def machine_page(request: Request, bench: Here, name: str) -> Response:
         machine=history,
         changes=sorted(changes, key=lambda change: str(change["seen"]), reverse=True),
         overdue=overdue(history),
+        figures=_figures_of(history),
         false_alarms=TESTS_PER_FALSE_ALARM,
         known_events=EVENTS,
         known_facts=FACTS,
         plans=planned_of(bench, name),
         with_twins=[kind.name for kind in kinds() if kind.offers("twins")],
     )
+
+
+def _figures_of(history: Mapping[str, Any]) -> list[str]:
+    """Return the figures that may have a tolerance: of the kinds that were measured, of all where none was."""
+    measured = {test["kind"] for test in history["tests"]}
+    every = [kind.figures for kind in kinds() if not measured or kind.name in measured]
+    return list(dict.fromkeys(symbol for figures in every for symbol in figures))
 
 
 @router.get("/machines/{name}/report.{ending}")

@@ -17,7 +17,7 @@ from dtwin import __version__
 from dtwin.errors import DtwinError, GateRefusal
 from dtwin.local_time import local_time
 from dtwin.pipeline.machine_report import tolerance_words
-from dtwin.report.faults import grouped, title_of
+from dtwin.report.faults import grouped, in_titles, title_of
 from dtwin.report.pdf import browser
 from dtwin.report.text import VERDICTS, micrometres
 from dtwin.report.twins import condition_words, number, place_words
@@ -65,6 +65,7 @@ _ENVIRONMENT.filters |= {
     "unit": shown_unit,
     "grouped": grouped,
     "titled": title_of,
+    "in_titles": in_titles,
 }
 _ENVIRONMENT.globals |= {
     "tolerance_words": tolerance_words,

@@ -163,6 +163,12 @@ def _find(bench: Bench, campaigns: Sequence[str], name: str) -> JSONResponse:
     for campaign in campaigns:
         bench.lake.campaign(campaign)
     twins_for(bench.home, bench.library, campaigns)
+    title = f"Find what {', '.join(campaigns)} can tell"
+    # Asked again in another tab, it would be a second twin of the same.
+    if (
+        same := next((job for job in bench.jobs.unfinished() if job.title == title and not job.ended), None)
+    ) is not None:
+        return accepted(same)
 
     def work(tell: Tell) -> str:
         tell("fit the set-ups")
@@ -170,7 +176,7 @@ def _find(bench: Bench, campaigns: Sequence[str], name: str) -> JSONResponse:
         _discover(twins, name, tell)
         return f"/twins/{name}/diagnose"
 
-    return accepted(bench.jobs.start(f"Find what {', '.join(campaigns)} can tell", work))
+    return accepted(bench.jobs.start(title, work))
 
 
 @router.post("/api/twins/{name}/discover")

@@ -194,7 +194,15 @@ def _invalid(request: Request, error: Exception) -> Response:
     assert isinstance(error, RequestValidationError)
     first = error.errors()[0]
     place = ".".join(str(part) for part in first["loc"])
-    said = InputError("the request is not complete", code="request.invalid", where=place, got=first["msg"])
+    if first["type"] == "missing":
+        return refused(request, InputError("the request is not complete", code="request.invalid", where=place))
+    said = InputError(
+        "a field cannot be read",
+        code="request.invalid",
+        where=place.removeprefix("body."),
+        got=str(first["input"])[:80],
+        allowed=first["msg"].removeprefix("Input should be "),
+    )
     return refused(request, said)
 
 

@@ -453,7 +453,13 @@ def test_an_own_effect_is_checked_saved_and_used(page: Page, bench: Workbench) -
 
 def test_a_machine_is_given_a_tolerance_and_an_event_and_its_tests_are_decided(page: Page, bench: Workbench) -> None:
     page.goto(f"{bench.base}/machines/virtual-mill")
+    # The figures that may have one are offered.
+    assert "G(b)" in page.locator("#figures option").evaluate_all("options => options.map((one) => one.value)")
     page.get_by_label("Figure").fill("G(b)")
+    page.get_by_label("at most, µm").fill("much")
+    page.get_by_role("button", name="State it").first.click()
+    expect(page.locator("#work-error")).to_contain_text("got: much")
+    page.keyboard.press("Escape")
     page.get_by_label("at most, µm").fill("1,5")
     page.get_by_role("button", name="State it").first.click()
     expect(page.get_by_text("G(b): ≤ 1.5 µm")).to_be_visible()
@@ -476,7 +482,11 @@ def test_a_machine_is_given_a_tolerance_and_an_event_and_its_tests_are_decided(p
 
 def test_one_button_finds_what_the_runs_can_tell(page: Page, bench: Workbench) -> None:
     page.goto(f"{bench.base}/campaigns/mill-backlash")
-    page.get_by_role("button", name="Find what these runs can tell").click()
+    with page.expect_response("**/find") as asked:
+        page.get_by_role("button", name="Find what these runs can tell").click()
+    # Asked in two tabs, it is one twin.
+    again = bench.act("/api/campaigns/mill-backlash/find", b'{"name": "twice"}')[1]
+    assert json.loads(again)["job"] == asked.value.json()["job"]
     page.wait_for_url("**/diagnose")
     expect(page.get_by_role("heading", name="Nothing is missing")).to_be_visible()
 

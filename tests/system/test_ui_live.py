@@ -128,6 +128,8 @@ def test_a_session_that_ended_shows_its_figures(bench: Workbench) -> None:
     text = bench.ask("/live")[1]
     assert "clamped 7, slew limited 3" in text
     assert "0.40 <small>%, 3 late, 1 missed" in text
+    # Of all the time, as ticks that were missed are none; half of the periods are of 2 ms.
+    assert "45.45 <small>Hz, 1000 ticks" in text
     # The page loads itself anew when the two differ, as they are written.
     made_of = re.findall("data-seen='(.*?)'", text)[0]
     assert json.dumps(json.loads(made_of)) == json.dumps(json.loads(bench.ask("/api/live")[1]))

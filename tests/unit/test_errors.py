@@ -27,6 +27,7 @@ def test_nothing_is_guessed_where_no_name_is_near_or_no_names_are_listed() -> No
     assert InputError("no such effect", got="flux", allowed="backlash, squareness").meant is None
     assert InputError("not a number", got="abov 0", allowed="above 0").meant is None
     assert InputError("too many", got="5001", allowed="5000").meant is None
+    assert InputError("too slow", got="1 mm/min", allowed="mm/min, such as 1000").meant is None
     assert "meant" not in InputError("broken", got="x").as_dict()
 
 

@@ -53,7 +53,7 @@ _RUN = re.compile(
 def bare(column: Column) -> str:
     """Return a head without its unit, in small letters, with blanks."""
     base = re.sub(r"[\[(].*?[\])]", "", in_english(column.head)).strip()
-    base = re.sub(rf"(\s+in\s+|\s*/\s*){re.escape(column.unit)}$", "", base) if column.unit else base
+    base = re.sub(rf"(\s+in\s+|\s*/\s*|\s+){re.escape(column.unit)}$", "", base) if column.unit else base
     return re.sub(r"[_\s]+", " ", base.removesuffix(f"_{column.unit}")).strip().lower()
 
 

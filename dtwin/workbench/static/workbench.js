@@ -27,6 +27,9 @@ function decimal(text) {
   return grouped ? Number(plain.replaceAll(grouped[2] ? "," : ".", "").replace(",", ".")) : NaN;
 }
 
+// What is no number goes as it is: the refusal tells it.
+const numberOr = (text) => (Number.isNaN(decimal(text)) ? text || null : decimal(text));
+
 // ---- figures ---------------------------------------------------------------------------------
 
 function chosen() {
@@ -268,7 +271,7 @@ function contentOf(form) {
       content[field.name] = content[field.name] || [];
       if (field.checked) content[field.name].push(field.value);
     } else if (field.type === "checkbox") content[field.name] = field.checked;
-    else content[field.name] = "number" in field.dataset ? decimal(field.value) : field.value.trim();
+    else content[field.name] = "number" in field.dataset ? numberOr(field.value.trim()) : field.value.trim();
   }
   return content;
 }

@@ -335,6 +335,7 @@ def test_directions_that_are_spelt_out(tmp_path: Path, left: str, right: str) ->
         ("", "angle_deg,deviation_um,direction", "{0},{1},{3}"),
         ("Machine: M5; Direction: {}; Feed: 1000", "angle [deg];radial error [µm]", "{0};{1}"),
         ("Bahn;{}", "Winkel in Grad;Kreisformabweichung in µm", "{0};{1}"),
+        ("Bahn;{}", "Winkel °;Kreisformabweichung µm", "{0};{1}"),
     ],
 )
 def test_blocks_below_their_direction_and_rows_that_tell_it_are_runs_that_way_round(

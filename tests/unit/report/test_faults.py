@@ -12,12 +12,18 @@ from defusedxml.ElementTree import fromstring
 from dtwin.kinds.volumetric.motions import FAMILIES
 from dtwin.physics.fit import Estimate
 from dtwin.physics.library import Library
-from dtwin.report.faults import grouped, signature_svg, size_of, sizes_of, undecided_lines
+from dtwin.report.faults import grouped, in_titles, signature_svg, size_of, sizes_of, undecided_lines
 from dtwin.report.plots import polar_rings
 from dtwin.report.text import WIDE, listed, table
 from dtwin.report.twins import found_table
 
 LIBRARY = Library()
+
+
+def test_sentences_for_people_have_titles_in_place_of_names_for_commands() -> None:
+    assert in_titles("tells scale_mismatch X from friction Y; friction with thermal_drift", LIBRARY) == (
+        "tells Scale mismatch X from Friction Y; friction with Drift"
+    )
 
 
 def estimate(name: str, value: float, uncertainty: float, unit: str = "um", *, told: bool = True) -> Estimate:
