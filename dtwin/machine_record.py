@@ -187,6 +187,12 @@ def without_event(home: Home, machine: str, what: str, on: str, note: str) -> Ma
         return _written(home, replace(known, events=tuple(events)))
 
 
+def drop_record(home: Home, machine: str) -> None:
+    """Delete what is stated of a machine."""
+    with _alone(home, machine):
+        record_file(home, machine).unlink(missing_ok=True)
+
+
 def _alone(home: Home, machine: str) -> AbstractContextManager[bool]:
     """Wait for others that state something of a machine, so that what they state is kept."""
     return locked(home.root / "locks" / f"record-{record_file(home, machine).stem}.lock", wait=True)

@@ -87,6 +87,15 @@ def event(
     emit({"machine": name, **record.as_dict()}, lambda: _record_text(record) + told, as_json=as_json)
 
 
+@app.command()
+def remove(name: Name, as_json: Json = False) -> None:
+    """Delete a machine that was not measured, as one whose name was mistyped."""
+    from dtwin.pipeline.machine_history import drop_machine
+
+    drop_machine(home(), name)
+    emit({"removed": name}, lambda: f"machine {name} is removed", as_json=as_json)
+
+
 @app.command("list")
 def list_machines(as_json: Json = False) -> None:
     """List machines that have a record or a campaign."""
@@ -202,7 +211,7 @@ def _next_text(advice: Mapping[str, Any]) -> str:
     lines = [f"measured: {', '.join(advice['measured']) or 'nothing yet'}", *_passed_over(advice)]
     if advice["measured"]:
         lines.append(f"found, and not told apart: {_listed([' or '.join(group) for group in advice['unclear']])}")
-        lines.append(f"not told by that: {_listed(advice['untold'])}")
+        lines.append(f"not told by that, alone or beside others that look alike: {_listed(advice['untold'])}")
     lines += ["", table(head, rows)]
     if "plan_file" in advice:
         lines.append(f"\nplan of the first: {advice['plan_file']} (dtwin plan {advice['plan_file']})")

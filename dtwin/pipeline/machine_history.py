@@ -14,7 +14,7 @@ from dtwin.errors import GateRefusal, InputError
 from dtwin.kinds.registry import kind_named
 from dtwin.lake.rows import by_campaign, campaign_of
 from dtwin.lake.store import Lake
-from dtwin.machine_record import MachineRecord, changed_since, read_record, recorded
+from dtwin.machine_record import MachineRecord, changed_since, drop_record, read_record, recorded
 from dtwin.physics.effect import Effect
 from dtwin.physics.fit import fit
 from dtwin.physics.library import Library
@@ -209,6 +209,24 @@ def require_machine(home: Home, machine: str) -> None:
     if machine not in known:
         allowed, hint = ", ".join(known) or "none", f"dtwin machine add {machine}"
         raise InputError("no such machine", code="machine.unknown", got=machine, allowed=allowed, hint=hint)
+
+
+def drop_machine(home: Home, machine: str) -> None:
+    """Delete a machine that has only a record, as one whose name was mistyped.
+
+    Raises ``InputError`` when it is not known, or was measured, has a twin, or is corrected.
+    """
+    require_machine(home, machine)
+    (found,) = (one for one in machine_overviews(home) if one["machine"] == machine)
+    if held := [*found["campaigns"], *found["twins"], *filter(None, [champion_of(home, machine)])]:
+        raise InputError(
+            "what was measured of a machine stays, and with it the machine",
+            code="machine.measured",
+            where=machine,
+            got=", ".join(held[:3]),
+            hint=f"where the name is wrong: dtwin amend {held[0]} --set machine=NAME --because REASON",
+        )
+    drop_record(home, machine)
 
 
 def _readable(shelf: Twins, name: str) -> Twin | None:

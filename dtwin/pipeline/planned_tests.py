@@ -37,17 +37,23 @@ _Where = tuple[object, ...]
 
 
 def draft_of(home: Home, machine: str, kind: str) -> dict[str, Any]:
-    """Return a plan file of a kind with usual settings for a machine, as TOML is read.
+    """Return a plan file of a kind with the settings of the machine's last test, else usual ones, as TOML is read.
 
-    Its name holds machine and day, so that it becomes a campaign of its own.
+    Figures are compared under one condition. Its name holds machine and day, so that it becomes a campaign of its own.
 
     Raises ``InputError`` when the kind is not known, or has no form for a plan.
     """
     record = read_record(home, require_name(machine, "the machine"))
     axes = (record.reach if record is not None else {}) or {axis: {} for axis in _USUAL_AXES}
     document = {table: dict(known) for table, known in kind_named(kind).draft(machine, axes).items()}
+    lake = Lake(home.lake)
+    tests = by_campaign(row for row in lake.runs(machine=machine) if row["kind"] == kind)
+    last = max(tests.values(), key=lambda rows: max(str(row["started"] or "") for row in rows), default=[])
+    for name, usual in document.get("grid", {}).items():
+        if isinstance(usual, list) and (then := {row[name] for row in last if row.get(name) is not None}):
+            document["grid"][name] = sorted(then)
     stem = f"{machine}-{document['plan']['name']}-{local_day().isoformat()}"
-    taken = {*Lake(home.lake).campaigns(), *(path.stem for path in home.plans.glob("*.toml"))}
+    taken = {*lake.campaigns(), *(path.stem for path in home.plans.glob("*.toml"))}
     free = (stem if n == 1 else f"{stem}-{n}" for n in range(1, len(taken) + 2))
     document["plan"]["name"] = next(name for name in free if name not in taken)
     return document

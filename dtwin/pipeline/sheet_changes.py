@@ -43,7 +43,7 @@ def last_changes(home: Home, machine: str) -> dict[str, Any]:
         code="changes.first",
         where=machine,
         got=", ".join(list(begun)[:6]) or "none",
-        hint=f"dtwin machine show {machine}",
+        hint="figures are compared under one condition: measure again as in one of these tests",
     )
 
 

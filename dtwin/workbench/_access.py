@@ -231,7 +231,7 @@ NEEDED = (
     (r"/api/(campaigns|machines)/[^/]+/(find|together)$", "train"),
     (r"/api/campaigns/[^/]+/(amend$|runs/)", "measure"),
     (r"/api/(trays|measuring)(/|$)", "measure"),
-    (r"/api/machines/[^/]+/(event|next|tolerance|schedule|plans|facts|axis)(/|$)", "measure"),
+    (r"/api/machines/[^/]+/(event|next|tolerance|schedule|plans|facts|axis|drop)(/|$)", "measure"),
     (r"/api/machines$", "measure"),
 )
 """Roles by the begin of an address, as regular expressions that a browser understands, too; the first that fits."""

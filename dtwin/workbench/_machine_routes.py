@@ -15,7 +15,7 @@ from starlette.responses import JSONResponse, Response
 from dtwin.errors import InputError
 from dtwin.kinds.registry import kinds
 from dtwin.machine_record import EVENTS, FACTS, keep_record, record_with, with_event, without_event
-from dtwin.pipeline.machine_history import machine_overviews
+from dtwin.pipeline.machine_history import drop_machine, machine_overviews
 from dtwin.pipeline.machine_joint import is_compared, machine_joint
 from dtwin.pipeline.machine_next import machine_next
 from dtwin.pipeline.machine_report import machine_report, overdue
@@ -248,6 +248,13 @@ def add_machine(bench: Here, told: _MachineTold) -> JSONResponse:
 def tell_facts(bench: Here, name: str, told: _FactsTold) -> JSONResponse:
     """State what is known of a machine; what is not in the request stays."""
     return _stated(bench, name, "Record", told.model_dump(exclude_unset=True))
+
+
+@router.post("/api/machines/{name}/drop")
+def drop(bench: Here, name: str) -> JSONResponse:
+    """Delete a machine that was not measured."""
+    bench.history(name)
+    return begun(bench, f"Remove {name}", "/machines", lambda: drop_machine(bench.home, name))
 
 
 @router.post("/api/machines/{name}/axis")

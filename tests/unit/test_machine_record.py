@@ -211,6 +211,13 @@ def test_a_crash_shows_in_the_history_of_figures_and_of_fault_sizes(home: Home) 
     assert re.search("Rechtwinkligkeitsabweichung, XY änderte sich um [-+]", report)
     assert "Die nächste Messung war am 2025-09-03 fällig: alle 30 Tage soll gemessen werden" in report
     assert 'lang="en"' not in report.partition("<body>")[2]
+    # What was measured stays; a name that was mistyped goes.
+    kept = CliRunner().invoke(app, ["machine", "remove", "mill-7"]).exception
+    assert isinstance(kept, InputError)
+    assert kept.code == "machine.measured"
+    said("machine", "add", "mil-7", "--type", "mill")
+    said("machine", "remove", "mil-7")
+    assert [one["machine"] for one in cast(list[dict[str, Any]], said("machine", "list")["machines"])] == ["mill-7"]
     spoilt = next((home.root / "kept" / "sheets").glob("t03.json"))
     spoilt.write_text("{")
     assert said("machine", "show", "mill-7") == shown

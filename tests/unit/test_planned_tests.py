@@ -15,6 +15,7 @@ from typing import Any
 import pytest
 from command_here import said
 from entered_workbench import enter
+from fleet_lake import fill
 from laser_axis import write_laser
 from machine_years import steady, write_tests
 from starlette.testclient import TestClient
@@ -62,6 +63,17 @@ def test_every_form_is_a_plan_of_its_kind_that_can_be_changed(home: Home, kind: 
     assert tomllib.loads(browser(home).get(f"/machines/mill-7/plan.toml?kind={kind}").text) == draft
     other = with_settings(draft, {"name": "mine"})
     assert planned_document(other, "draft").summary["name"] == "mine"
+
+
+def test_a_form_begins_with_the_conditions_of_the_last_test_so_that_figures_can_be_compared(home: Home) -> None:
+    fill(home, 1)
+    (run, *_) = Lake(home.lake).runs(machine="mill-0")
+    grid = draft_of(home, "mill-0", "circular")["grid"]
+    assert (grid["plane"], grid["radius_mm"], grid["feed_mm_min"]) == tuple(
+        [run[name]] for name in ("plane", "radius_mm", "feed_mm_min")
+    )
+    assert grid["directions"] == ["CCW", "CW"]
+    assert len(draft_of(home, "mill-1", "circular")["grid"]["feed_mm_min"]) == 3
 
 
 def test_a_feed_in_the_unit_of_its_plan_says_so(home: Home) -> None:

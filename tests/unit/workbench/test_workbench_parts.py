@@ -268,7 +268,7 @@ def test_what_was_stated_of_a_machine_is_taken_back_and_of_no_machine_nothing_is
         application(bench), base_url="http://127.0.0.1:8765", headers={"Origin": "http://127.0.0.1:8765"}
     )
     enter(client, bench.access.token)
-    for what in ("next", "together", "event", "event/drop"):
+    for what in ("next", "together", "event", "event/drop", "drop"):
         event = {"what": "crash", "on": "2026-01-02", "note": note.strip()}
         assert client.post(f"/api/machines/nobody/{what}", json=event).status_code == 404, what
     assert client.get("/machines/nobody").status_code == 404
@@ -283,6 +283,11 @@ def test_what_was_stated_of_a_machine_is_taken_back_and_of_no_machine_nothing_is
         time.sleep(0.01)
     assert set(tolerances_of(bench.home, "mill-a")) == {"G(CW)"}
     assert events_of(bench.home, "mill-a") == ()
+    assert "Remove this machine" in client.get("/machines/mill-a").text
+    job = client.post("/api/machines/mill-a/drop", json={}).json()["job"]
+    while time.monotonic() < deadline and not ((told_of := bench.jobs.get(job)) and told_of.ended):
+        time.sleep(0.01)
+    assert client.get("/machines/mill-a").status_code == 404
 
 
 _BEGUN = """
