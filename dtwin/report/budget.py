@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Protocol
 
 from dtwin.physics.budget import Budget, Share
-from dtwin.report.faults import with_k2
+from dtwin.report.faults import AS_ZERO, with_k2
 from dtwin.report.html import Table
 from dtwin.report.text import micrometres, table
 
@@ -50,11 +50,22 @@ def unexplained_line(found: Budget) -> str:
     )
 
 
+def remedies(found: Budget, *, in_words: bool = True) -> list[tuple[str, str]]:
+    """Return what to do about each cause; what may be nothing at all is not mended. Causes as in :func:`budget_table`."""
+    return [
+        (
+            share.title if in_words else share.label,
+            AS_ZERO if share.rms_um[""] <= share.uncertainty_um else share.remedy,
+        )
+        for share in found.shares
+    ]
+
+
 def budget_text(found: Budget, spread: _Spread) -> str:
     """Return the budget for the terminal."""
-    remedies = [f"{share.label}: {share.remedy}" for share in found.shares]
+    told = [f"{label}: {remedy}" for label, remedy in remedies(found, in_words=False)]
     shown = budget_table(found, spread, in_words=False)
-    return "\n".join([table(shown.head, shown.rows), unexplained_line(found), SURE, "", *remedies])
+    return "\n".join([table(shown.head, shown.rows), unexplained_line(found), SURE, "", *told])
 
 
 def _row(share: Share, spread: _Spread, planes: list[str]) -> list[str]:

@@ -24,6 +24,8 @@ from dtwin.report.text import decimals, listed
 from dtwin.schema import Direction, Floats, Plane, RunMeta
 from dtwin.units import shown_number, shown_unit
 
+AS_ZERO = "These runs do not tell it from zero."
+"""What is said in place of the remedy of an effect that may be nothing at all."""
 _PICTURE_PX = 72
 _LABEL = re.compile(r"\b[a-z]+(?:_[a-z]+)*\b(?: [A-Z]{1,2}\b)?")
 
@@ -79,7 +81,7 @@ def faults(
         fault = _fault(term.instance.effect, term.instance.axis, told)
         sizes = sizes_of(told)
         if sizes and all(abs(value) <= spread for _, value, spread, _ in sizes):
-            fault = replace(fault, remedy="These runs do not tell it from zero.")
+            fault = replace(fault, remedy=AS_ZERO)
         if alike := _alike(twin, term):
             beside = listed([titles.get(label, label) for label, _ in alike])
             # What cannot be told is not mended: another test comes first.

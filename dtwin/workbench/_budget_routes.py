@@ -12,7 +12,7 @@ from starlette.responses import JSONResponse, Response
 from dtwin.lifecycle.gcode_program import MAX_BYTES, plain
 from dtwin.lifecycle.program_budget import of_circles, program_budget, program_lines, program_table
 from dtwin.pipeline.kept import keep, kept_already
-from dtwin.report.budget import SURE, budget_table, unexplained_line
+from dtwin.report.budget import SURE, budget_table, remedies, unexplained_line
 from dtwin.report.faults import undecided_lines
 from dtwin.report.html import Table
 from dtwin.twins.budget_spread import spread_budget
@@ -53,7 +53,7 @@ def budget_page(request: Request, bench: Here, name: str, on: str = "") -> Respo
         campaigns=bench.campaigns_of(whole.machine, view.obs.campaign.kind),
         measured=budget_table(found, spread),
         sure=SURE,
-        remedies=[(share.title, share.remedy) for share in found.shares],
+        remedies=remedies(found),
         doubts=undecided_lines(diagnosis, bench.library),
         unexplained=unexplained_line(found),
         program=program and {**program, "table": Table(program["head"], program["rows"])},

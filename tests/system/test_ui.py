@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 from axe_playwright_python.sync_playwright import Axe
 from command_here import printed
-from playwright.sync_api import Browser, BrowserContext, Page, expect
+from playwright.sync_api import Browser, BrowserContext, Page, Route, expect
 from workbench_server import Workbench, running_workbench
 
 from dtwin.config import Home
@@ -164,7 +164,7 @@ def test_from_a_dropped_file_to_an_error_that_falls(
     page.get_by_role("button", name="Diagnose").click()
     expect(page.get_by_role("heading", name="An effect is missing")).to_be_visible()
     _settled(page)
-    expect(page.locator(".verdict")).to_contain_text("backlash X is missing")
+    expect(page.locator(".verdict")).to_contain_text("Backlash X is missing")
     expect(page.locator("#signature-plot")).to_contain_text("What Backlash X would take away")
     page.screenshot(path=artifacts / "diagnose.png", full_page=True)
 
@@ -473,8 +473,16 @@ def test_a_machine_is_given_a_tolerance_and_an_event_and_its_tests_are_decided(p
     page.get_by_label("Test it every").fill("30")
     page.get_by_role("button", name="State it").last.click()
     expect(page.locator(".verdict")).to_contain_text("overdue")
+    waiting: list[Route] = []
+    page.route("**/api/machines/*/summary", lambda route: waiting.append(route))
     page.goto(f"{bench.base}/machines")
+    # Two hundred machines that nobody looked at take minutes.
+    expect(page.locator("[data-machines] caption")).to_contain_text("by name until all are judged: 0 of")
+    page.unroute_all()
+    for route in waiting:
+        route.continue_()
     expect(page.locator("[data-machine=virtual-mill]")).to_contain_text("outside overdue")
+    expect(page.locator("[data-machines] caption")).not_to_contain_text("judged")
     page.get_by_role("link", name="virtual-mill", exact=True).click()
     page.get_by_role("link", name="mill-backlash").click()
     expect(page.locator("#sheet")).to_contain_text("outside")

@@ -637,7 +637,12 @@ async function fillMachine(row) {
 
 async function fillMachines() {
   const rows = all("[data-machine]");
-  for (const row of rows) await fillMachine(row);
+  const judged = document.querySelector("[data-judged]");
+  for (const [done, row] of rows.entries()) {
+    judged.textContent = `; by name until all are judged: ${done} of ${rows.length}`;
+    await fillMachine(row);
+  }
+  if (judged) judged.textContent = "";
   const order = (row) => Number(row.dataset.order || WORST.length);
   rows.sort((one, other) => order(one) - order(other)).forEach((row) => row.parentElement.append(row));
 }
