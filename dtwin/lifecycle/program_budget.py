@@ -17,7 +17,7 @@ from dtwin.physics.problem import Term
 from dtwin.physics.several_twin import SeveralTwin, joined
 from dtwin.physics.state import AXES_OF
 from dtwin.physics.twin import Twin
-from dtwin.report.faults import with_k2
+from dtwin.report.faults import AS_ZERO, with_k2
 from dtwin.report.html import Table
 from dtwin.report.text import table
 from dtwin.schema import Floats
@@ -234,7 +234,11 @@ def program_lines(found: _ProgramBudget) -> list[str]:
     if found.outside > 0.0:
         lines.append(f"{100 * found.outside:z.0f} % of the points lie further out than anything that was measured")
     lines += [f"not in it: {label}: {why}" for label, why in found.not_told.items()]
-    return [*lines, *(f"{cut.label}: {cut.remedy}" for cut in found.causes)]
+    # What may be nothing at all is not mended.
+    return [
+        *lines,
+        *(f"{cut.label}: {AS_ZERO if cut.rms_um[''] <= cut.k2_um[''] else cut.remedy}" for cut in found.causes),
+    ]
 
 
 def _row(cut: _Cut) -> list[str]:

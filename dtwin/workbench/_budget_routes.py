@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -11,9 +12,10 @@ from starlette.responses import JSONResponse, Response
 
 from dtwin.lifecycle.gcode_program import MAX_BYTES, plain
 from dtwin.lifecycle.program_budget import of_circles, program_budget, program_lines, program_table
+from dtwin.physics.effect import Effect
 from dtwin.pipeline.kept import keep, kept_already
 from dtwin.report.budget import SURE, budget_table, remedies, unexplained_line
-from dtwin.report.faults import undecided_lines
+from dtwin.report.faults import in_titles, undecided_lines
 from dtwin.report.html import Table
 from dtwin.twins.budget_spread import spread_budget
 from dtwin.twins.of_kind import paths_of
@@ -56,8 +58,13 @@ def budget_page(request: Request, bench: Here, name: str, on: str = "") -> Respo
         remedies=remedies(found),
         doubts=undecided_lines(diagnosis, bench.library),
         unexplained=unexplained_line(found),
-        program=program and {**program, "table": Table(program["head"], program["rows"])},
+        program=program and {**program, "table": Table(program["head"], _titled(program["rows"], bench.library))},
     )
+
+
+def _titled(rows: Sequence[Sequence[str]], library: Mapping[str, Effect]) -> list[list[str]]:
+    """Return rows with titles in place of names for commands."""
+    return [[in_titles(cause, library), *figures] for cause, *figures in rows]
 
 
 @router.post("/api/twins/{name}/program")

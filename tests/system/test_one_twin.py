@@ -227,8 +227,15 @@ def test_the_budget_of_a_program_is_on_the_page_of_a_twin(home: Home) -> None:
     page = opened.get("/twins/parts/budget").text
     assert "part.nc, with version 1 of the twin" in page
     assert "240 mm at feed" in page
+    assert "Backlash X: Preload or renew" in page
     part.write_text(program, encoding="ascii")
     printed("twin", "fit", *ALL, "--effects", "lead_error:X,backlash:X", "--name", "several")
+    printed("twin", "fit", "bar", "--effects", "backlash", "--name", "both-axes")
+    # The play of Y is nothing: there is nothing to renew.
+    for program_of in ((), ("--program", str(part), "--origin", "120,80,0")):
+        lines = printed("twin", "budget", "both-axes", *program_of).split("\n")
+        assert "backlash Y: These runs do not tell it from zero." in lines
+        assert any(line.startswith("backlash X: Preload") for line in lines)
     causes = said("twin", "budget", "several", "--program", str(part), "--origin", "120,80,0")["causes"]
     # 30 ppm over 40 mm at the sides, the mean square of a third of it between them.
     assert [c["label"] for c in causes] == ["backlash X", "scale_mismatch X"]
