@@ -77,7 +77,7 @@ EFFECT = Effect(
     ),
     looks_like=(
         "Short spike outwards or inwards just after the reversal, on the other side of the axis "
-        "when the direction changes. It grows with F^2 / R until friction reverses at once."
+        "when the direction changes. It grows with F² / R until friction reverses at once."
     ),
     separate_by="Lower the feed: the spike shrinks and a backlash step stays.",
     remedy="Friction compensation of the control, lubrication, loop gain.",
