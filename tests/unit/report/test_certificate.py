@@ -287,7 +287,11 @@ def test_every_translated_clause_is_said_somewhere() -> None:
         )
     said = re.sub(r"\{\w+\}", "\n", said)
     # What is put together of words.
-    said += "".join(f"{localise._trend(slope)} with {over}\n" for slope in (-1, 0, 1) for over in ("feed", "radius"))
+    said += "".join(
+        f"{localise._trend(slope)} with {over}\n"
+        for slope in (-1, 0, 1)
+        for over in ("feed", "radius", "frequency", "amplitude")
+    )
     said += "\n".join(effect.title for effect in PLACES.values())
     said += residual_map(np.ones((1, 360)), ["c"], floor_um=0.5, title="Mean residual").layout.title.text
     pieces = {piece.strip(" ,:;()") for clause in _CLAUSES for piece in clause.split("{}")}
