@@ -265,6 +265,7 @@ def test_a_real_recording_is_dropped_on_the_page(page: Page, bench: Workbench, r
     page.get_by_role("link", name="ccw", exact=True).click()
     _settled(page)
     expect(page.get_by_text("spectrum of one run")).to_be_visible()
+    assert "tests are decided by those in their files" in bench.ask("/machines/ur10e-error-map")[1]
 
 
 def test_a_table_alone_is_asked_how_it_was_measured_then_amended_and_left_out(page: Page, bench: Workbench) -> None:
