@@ -21,6 +21,7 @@ from dtwin.physics.problem import Problem, Term, set_up, unweighted, weighted_li
 
 # Of the copies of runs that were measured once.
 _SEED = 0
+_MANY = 12
 
 
 def undecided(obs: Observations, known: Sequence[Term], library: Mapping[str, Effect]) -> tuple[tuple[str, ...], ...]:
@@ -68,11 +69,12 @@ def undecided_together(tests: Sequence[MachineTest], library: Mapping[str, Effec
         for test, own in zip(tests, groups, strict=True)
         for term, group in zip(test.known, own, strict=True)
     ]
-    # A test of few runs leaves most of the library open: it need not be asked where another one leaves less.
+    # A test of few runs leaves most of the library open: it need not be asked where another one leaves less, nor further
+    # than to know that it leaves very many.
     for test, term, others in sorted(doubted, key=lambda doubt: len(doubt[2])):
         known = [each for key, each in terms.items() if key != key_of(term)]
         so_far = shortest.get(key_of(term))
-        most = None if so_far is None else len(so_far) - 1
+        most = _MANY if so_far is None else min(_MANY, len(so_far) - 1)
         differ = of_other_sizes(others, known, campaigns, test.obs.grid.kind, library, most=most)
         group = (term.label, *(label for label in others if label not in differ))
         shortest[key_of(term)] = group if so_far is None else min(so_far, group, key=len)
