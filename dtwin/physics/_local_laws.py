@@ -16,8 +16,8 @@ from dtwin.units import shown_number
 
 # Reaches of a bump as shares of the travel; it falls to nothing there.
 _REACHES = (0.04, 0.08, 0.15, 0.3)
-# What grows towards an end, as shares in which it falls to a third.
-_TO_AN_END = (0.05, 0.1, 0.2)
+# What grows towards an end, as shares in which it falls to a third; beyond them it would be a bow.
+_TO_AN_END = (0.04, 0.07, 0.12)
 # A step is late on the way back by so much of the travel at most.
 _LATEST = 0.25
 # Of more targets not every one is tried on the way back.
@@ -45,6 +45,18 @@ def local_laws(obs: Observations) -> list[Instance]:
     at, within = END.shapes
     end = replace(END, shapes=(replace(at, grid=(0.0, 1.0)), replace(within, grid=_TO_AN_END, limits=(gap / 2.0, 1.0))))
     return [Instance(law, obs.axes[0]) for law in (step, bump, end)]
+
+
+def material_laws(
+    laws: Sequence[Term], bare: Problem, believed: Sequence[Term], candidates: Candidates, least_um: float
+) -> list[Term]:
+    """Return the laws that do at least so much beside all others; the effects that were searched beside them may leave less.
+
+    ``bare``: the campaign without weights, with what the twin knows.
+    """
+    besides = [candidates.given(bare, [*believed, *(o for o in laws if o is not law)]) for law in laws]
+    sizes_um = [candidates.size_um(beside, law) for beside, law in zip(besides, laws, strict=True)]
+    return [law for law, size_um in zip(laws, sizes_um, strict=True) if size_um >= least_um]
 
 
 def laws_in_words(

@@ -32,7 +32,7 @@ from dtwin.physics._doubts import (
 )
 from dtwin.physics._grading import laws_of
 from dtwin.physics._law_search import search_laws
-from dtwin.physics._local_laws import laws_in_words
+from dtwin.physics._local_laws import laws_in_words, material_laws
 from dtwin.physics._material import IMMATERIAL
 from dtwin.physics._measured_once import as_if_repeated
 from dtwin.physics._nameless import local, nameless, simpler_law
@@ -279,6 +279,7 @@ def _concluded(
     left = localise.in_angle(candidates.given(bare, [*terms, *places]))
     found = replace(found, first=first.first, systematic_um=(first.systematic_um[0], found.systematic_um[1]))
     fit_p = first.lack_of_fit[0] if others or unknown else found.lack_of_fit[1]
+    places = material_laws(places, bare, terms, candidates, IMMATERIAL * blank.noise_floor_um)
     blank = replace(blank, places=tuple(_as_place(law) for law in places))
     beside_um, where = laws_in_words(places, bare, terms, candidates) if places else (0.0, "")
     unresolved = unresolved_part(found, left, fit_p, beside_um, where) if told else None

@@ -92,7 +92,7 @@ END = _effect(
     Law(0.0, None, "even"),
     "A exp(-abs(x - x0) / w), x0 one end of the travel",
     "The error grows towards one end of the travel, the same both ways: a hose that tightens, a cover that is pushed together.",
-    ShapeParameter(REACH, "1", 0.1, (0.1,), (0.001, 1.0)),
+    ShapeParameter(REACH, "1", 0.1, (0.1,), (0.001, 1.0), ends=True),
     placed=False,
 )
 PLACES: Mapping[str, Effect] = {effect.name: effect for effect in (STEP, BUMP, END)}

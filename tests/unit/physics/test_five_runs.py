@@ -321,4 +321,4 @@ def test_a_hose_that_turns_round_and_tightens_towards_an_end_is_no_wear_and_no_l
     found = diagnose(campaign(pull, np.random.default_rng(5)), [], LIBRARY)
     assert {group[0].label for group in found.found} == {"backlash X", "slow_take_up X"}
     assert [place["effect"] for place in found.places] == ["learned_end"]
-    assert "a growth towards an end of -5.6 µm at 640 mm" in found.headline
+    assert "a growth towards an end of -5.9 µm at 640 mm" in found.headline
