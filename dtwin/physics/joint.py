@@ -278,14 +278,13 @@ def _settled(one: _Measured, group: tuple[str, ...], measured: Sequence[_Measure
     """Judge the names of a group by the other tests; None when none of them sees any."""
     others = [other for other in measured if other is not one]
     judged: list[_Judged] = []
-    weak = set()
     for label in group:
         cause = one.cause_of(label)
-        here, there = one.size(label, group), None if cause is None else _elsewhere(cause, others)
-        mates = _mates(label, group)
-        if mates and (here is None or not _is_there(here)):
-            weak.add(label)
-            here = here and one.size(label, group, mates)
+        there = None if cause is None else _elsewhere(cause, others)
+        # A group of few runs has very many names: those that no other test sees are not fitted.
+        here = None if there is None else one.size(label, group)
+        if there is not None and _is_weak(here, label, group):
+            here = here and one.size(label, group, _mates(label, group))
         if here is None or there is None:
             continue
         said = _said(here, there)
@@ -295,10 +294,17 @@ def _settled(one: _Measured, group: tuple[str, ...], measured: Sequence[_Measure
         return None
     agreed = tuple(j.label for j in judged if j.said == "agrees")
     ruled_out = {j.label for j in judged}
-    # What is the cause only together with the same on other axes falls with them.
-    ruled_out |= {label for label in weak if ruled_out.issuperset(_mates(label, group))}
+    if not agreed:
+        # What is the cause only together with the same on other axes falls with them.
+        fallen = [label for label in group if (mates := _mates(label, group)) and ruled_out.issuperset(mates)]
+        ruled_out |= {label for label in fallen if _is_weak(one.size(label, group), label, group)}
     left = agreed or tuple(label for label in group if label not in ruled_out)
     return Settled(one.test.campaign, group, tuple(judged), left)
+
+
+def _is_weak(here: Size | None, label: str, group: tuple[str, ...]) -> bool:
+    """Tell whether an effect is no cause alone, and may be one with the same on other axes; ``here``: its size alone."""
+    return bool(_mates(label, group)) and (here is None or not _is_there(here))
 
 
 def _mates(label: str, group: tuple[str, ...]) -> list[str]:

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dtwin.errors import InputError
 from dtwin.physics.contradictions import without_contradictions
 from dtwin.physics.effect import Effect
-from dtwin.physics.machine_terms import key_of, machine_terms, seen_by
+from dtwin.physics.machine_terms import is_shared, is_wave, key_of, machine_terms, seen_by
 from dtwin.physics.observations import Observations
 from dtwin.physics.problem import Term
 from dtwin.physics.several import fit_several
@@ -53,12 +53,24 @@ def _differ(
     labels: Sequence[str], beside: Sequence[Term], campaigns: Sequence[Observations], library: Mapping[str, Effect]
 ) -> bool:
     """Tell whether campaigns contradict each other on the size of an effect, on one axis or several."""
+    every = _compared(labels, beside, campaigns, library)
+    if not every:
+        return False
+    fitted = fit_several(campaigns, every, library)
+    _, apart = without_contradictions(fitted, [started_of(obs) for obs in campaigns])
+    return any(one.effect == labels[0].partition(" ")[0] for one in apart)
+
+
+def _compared(
+    labels: Sequence[str], beside: Sequence[Term], campaigns: Sequence[Observations], library: Mapping[str, Effect]
+) -> list[Term]:
+    """Return an effect, on one axis or several, and what is beside it; nothing where no two campaigns see one size of it."""
     name = labels[0].partition(" ")[0]
     try:
         terms = [t for label in labels for t in machine_terms([name], library, campaigns, label.partition(" ")[2])]
     except InputError:  # It cannot act in them.
-        return False
-    every = {key_of(term): term for term in (*beside, *terms)}
-    fitted = fit_several(campaigns, list(every.values()), library)
-    _, apart = without_contradictions(fitted, [started_of(obs) for obs in campaigns])
-    return any(one.effect == name for one in apart)
+        return []
+    every = list({key_of(term): term for term in (*beside, *terms)}.values())
+    sized = [t for t in every if t.instance.effect.name == name and (is_wave(t) or is_shared(t, every))]
+    several = any(sum(seen_by(t, obs, library) is not None for obs in campaigns) > 1 for t in sized)
+    return every if several else []

@@ -132,17 +132,19 @@ def _shown_together(
     if not many & alone:
         return groups, []
     sizes = fit_several(campaigns, list(terms.values()), library).estimates
+    absent = _absent([terms[key] for key in many], sizes)
+    denied = [group[0].label for group, _ in groups if len(group) == 1 and key_of_suspect(group[0], library) in absent]
+    return [(group, where) for group, where in groups if len(group) > 1 or group[0].label not in denied], denied
+
+
+def _absent(terms: Sequence[Term], sizes: Sequence[Estimate]) -> set[tuple[str, str]]:
+    """Return the keys of the effects that are nothing to within their uncertainty, wherever they have a size."""
     told: dict[tuple[str, str], list[Estimate]] = {}
     for e in sizes:
         if e.identifiable:
             told.setdefault((e.effect, e.axis), []).append(e)
-    absent = set()
-    for key in many:
-        own = told.get((terms[key].instance.effect.name, terms[key].instance.axis), [])
-        if own and all(abs(e.value) <= _THERE * e.uncertainty for e in own):
-            absent.add(key)
-    denied = [group[0].label for group, _ in groups if len(group) == 1 and key_of_suspect(group[0], library) in absent]
-    return [(group, where) for group, where in groups if len(group) > 1 or group[0].label not in denied], denied
+    own = {key_of(term): told.get((term.instance.effect.name, term.instance.axis), []) for term in terms}
+    return {key for key, mine in own.items() if mine and all(abs(e.value) <= _THERE * e.uncertainty for e in mine)}
 
 
 def _explaining(
@@ -241,7 +243,7 @@ def _concluded(
         default=None,
     )
     hidden = _hidden(twin, tests, library)
-    doubts = undecided_together(tests, library)
+    doubts = undecided_together(tests, library, _absent(twin.terms, twin.estimates))
     asked = replace(unclear.found, found=tuple(g for g, c in groups if c == unclear.campaign)) if unclear else None
     if unclear is None and doubts:
         unclear = next(test for test in tests if doubts[0][0] in {term.label for term in test.known})

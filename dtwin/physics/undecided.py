@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Collection, Hashable, Mapping, Sequence
 from dataclasses import replace
 
 from dtwin.physics._best_set import away_from_reversals, is_sharp
@@ -51,10 +51,14 @@ def undecided(obs: Observations, known: Sequence[Term], library: Mapping[str, Ef
     return tuple(group for group in (tuple(dict.fromkeys(group)) for group in groups) if len(group) > 1)
 
 
-def undecided_together(tests: Sequence[MachineTest], library: Mapping[str, Effect]) -> tuple[tuple[str, ...], ...]:
+def undecided_together(
+    tests: Sequence[MachineTest], library: Mapping[str, Effect], absent: Collection[Hashable] = ()
+) -> tuple[tuple[str, ...], ...]:
     """Return the same of a twin of several campaigns: what none of them decides, nor all of them together.
 
     ``tests``: with what the twin knows of each; labels are those that a cause has there.
+    ``absent``: keys of the effects of the twin that are nothing to within their uncertainty. What could stand in their place
+    has no size in any test either: where it is very much, none of it is asked.
     """
     groups = [
         [doubt.get(t.label, (t.label,)) for t in test.known] for test in tests for doubt in [_doubts(test, library)]
@@ -75,7 +79,8 @@ def undecided_together(tests: Sequence[MachineTest], library: Mapping[str, Effec
         known = [each for key, each in terms.items() if key != key_of(term)]
         so_far = shortest.get(key_of(term))
         most = _MANY if so_far is None else min(_MANY, len(so_far) - 1)
-        differ = of_other_sizes(others, known, campaigns, test.obs.grid.kind, library, most=most)
+        asked = [] if key_of(term) in absent and len(others) > _MANY else others
+        differ = of_other_sizes(asked, known, campaigns, test.obs.grid.kind, library, most=most)
         group = (term.label, *(label for label in others if label not in differ))
         shortest[key_of(term)] = group if so_far is None else min(so_far, group, key=len)
     return tuple(group for key in terms if len(group := shortest[key]) > 1)

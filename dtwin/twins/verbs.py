@@ -48,7 +48,7 @@ from dtwin.twins.several import SeveralComparison, fitted_together, require_toge
 from dtwin.twins.shelf import PATHS, TwinShelf, effect_absent, effect_there, require_same_machine
 
 _MOST_RUNGS = 40
-_PATIENCE_S, _LOOK_EVERY_S = 60.0, 0.05
+_PATIENCE_S, _LOOK_EVERY_S = 600.0, 0.05
 
 
 class Twins(TwinShelf):
@@ -143,7 +143,7 @@ class Twins(TwinShelf):
         for one in loaded:
             require_same_machine(name, twin.machine, one.obs.campaign.name, one.obs.campaign.machine)
         check_sums = [made_from(path, one, self.library, seed) for one in loaded]
-        # Another process may be at it; one that hangs is not waited for.
+        # Another process may be at it, as the one in the background; two would take twice as long. One that hangs is not waited for.
         with path.open() as version:
             until = time.monotonic() + _PATIENCE_S
             while not take(version) and time.monotonic() < until:

@@ -19,6 +19,7 @@ from dtwin.physics.library import Library
 from dtwin.physics.localise import residual_um
 from dtwin.physics.machine_terms import machine_terms, seen_by
 from dtwin.physics.observations import Observations
+from dtwin.physics.one_size import of_other_sizes
 from dtwin.physics.problem import Term
 from dtwin.physics.several import SeveralFit, fit_several
 from dtwin.physics.several_diagnosis import diagnose_several
@@ -360,3 +361,19 @@ def test_what_two_bars_show_is_one_cause_though_they_begin_with_other_names() ->
     (group,) = found.found
     assert {"scale_mismatch XY", "inertial_compliance"} <= {s.label for s in group}
     assert found.ruled_out == ()
+
+
+def test_what_could_stand_in_the_place_of_nothing_is_not_fitted(monkeypatch: pytest.MonkeyPatch) -> None:
+    bars = [circles(SCALED), circles(SCALED, 2, "again", feeds_mm_min=(2000.0, 4000.0))]
+    asked: list[int] = []
+    monkeypatch.setattr("dtwin.physics.one_size.fit_several", lambda *_: asked.append(1))
+    (group,) = diagnose_several(twin_of_all(bars, "scale_mismatch", "backlash"), bars, LIBRARY).undecided
+    assert group[0] == "backlash Y"
+    assert len(group) > 13
+    assert asked == []
+
+
+def test_an_effect_that_each_test_sees_on_an_axis_of_its_own_has_no_other_size(monkeypatch: pytest.MonkeyPatch) -> None:
+    lasers = [laser("X", 30.0, 3.0), laser("Y", 0.0, 0.0)]
+    monkeypatch.setattr("dtwin.physics.one_size.fit_several", lambda *_: pytest.fail("nothing to compare"))
+    assert of_other_sizes(["lead_error X", "backlash Y"], [], lasers, lasers[0].grid.kind, LIBRARY) == []
