@@ -94,10 +94,12 @@ def test_columns_are_kept_up_to_so_many_bytes_and_the_newest_stay(monkeypatch: p
 
 def test_ctrl_c_does_not_wait_for_a_call_that_does_not_hear_it() -> None:
     """As of a store that took the connection and is frozen: its library waits outside of Python."""
+    # A shell's background job is begun with Ctrl-C ignored, and so would its children be.
+    hears = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); "
     waits = "import ctypes; from dtwin.processes import interruptible; print(1, flush=True); "
     call = "interruptible(lambda: ctypes.CDLL(None).poll(None, 0, 3_600_000))"
     with subprocess.Popen(
-        [sys.executable, "-c", waits + call], stdout=subprocess.PIPE, stderr=subprocess.PIPE
+        [sys.executable, "-c", hears + waits + call], stdout=subprocess.PIPE, stderr=subprocess.PIPE
     ) as child:
         assert child.stdout is not None
         child.stdout.readline()
