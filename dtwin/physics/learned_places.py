@@ -60,7 +60,8 @@ def _effect(
         remedy="Look for what is there: a joint of scale or rack, dirt, a dent, a cover or a door that catches.",
         reference="Learned from the residual of this twin; provisional.",
         kinds=("linear",),
-        shapes=(ShapeParameter(PLACE, "1", 0.5, (0.5,), (0.0, 1.0), refined=placed), shape),
+        # What is at an end by its law is not at a limit of a fit.
+        shapes=(ShapeParameter(PLACE, "1", 0.5, (0.5,), (0.0, 1.0) if placed else (-1.0, 2.0), refined=placed), shape),
         source=LEARNED,
     )
 

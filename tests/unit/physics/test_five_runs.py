@@ -12,8 +12,10 @@ from dtwin.physics.candidates import Candidates
 from dtwin.physics.diagnose import diagnose
 from dtwin.physics.effect import Instance
 from dtwin.physics.fit import fit
+from dtwin.physics.learned_places import PLACES
 from dtwin.physics.library import Library
 from dtwin.physics.observations import Observations, observe
+from dtwin.physics.plausible import implausible
 from dtwin.physics.problem import Term, set_up
 from dtwin.physics.score import NoiseLevel, score_test
 from dtwin.physics.twin import chosen_terms
@@ -320,5 +322,8 @@ def test_a_hose_that_turns_round_and_tightens_towards_an_end_is_no_wear_and_no_l
     pull = -4.0 * way * (1.0 - 2.0 * np.exp(-since / 60.0)) - 6.0 * np.maximum(0.0, 1.0 - (1.0 - SHARE) / 0.4) ** 5
     found = diagnose(campaign(pull, np.random.default_rng(5)), [], LIBRARY)
     assert {group[0].label for group in found.found} == {"backlash X", "slow_take_up X"}
-    assert [place["effect"] for place in found.places] == ["learned_end"]
+    (place,) = found.places
+    assert place["effect"] == "learned_end"
+    end = Term(Instance(PLACES[place["effect"]], "X"), place["shape"])
+    assert not implausible([end], np.array([-6.0]))
     assert "a growth towards an end of -5.9 µm at 640 mm" in found.headline
