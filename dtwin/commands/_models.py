@@ -19,18 +19,13 @@ if TYPE_CHECKING:
     from dtwin.train.symbolic import Engine
 
 Machine = Annotated[str | None, typer.Option(help="Required when there are several.")]
-_LONGEST = 1000
 
 
 def _short(comment: str) -> str:
-    """Return a comment; refuse one that no table of the history can show."""
-    if len(comment) > _LONGEST:
-        raise InputError(
-            "the comment is too long",
-            code="promote.comment",
-            got=f"{len(comment)} characters",
-            allowed=f"up to {_LONGEST}",
-        )
+    if comment:
+        from dtwin.train.promotion_books import require_comment
+
+        require_comment(comment)
     return comment
 
 

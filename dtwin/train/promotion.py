@@ -25,7 +25,7 @@ from dtwin.shared_documents import follow_shared
 from dtwin.train.evidence import Evidence
 from dtwin.train.evidence_record import Record, contrary, records
 from dtwin.train.gates import Verdict, evidence_gate
-from dtwin.train.promotion_books import bundle_path, by_pointer, enter, history, remember, was_champion
+from dtwin.train.promotion_books import bundle_path, by_pointer, enter, history, remember, require_comment, was_champion
 from dtwin.train.registry import FAULTS, RegisteredVersion, Registry, model_name
 
 # Tag of a version that may be tried but never become champion; its value says why.
@@ -65,6 +65,7 @@ def promote(
     Returns the served bundle.
     Raises ``GateRefusal`` when a gate says no.
     """
+    require_comment(comment)
     bundle, verdicts = check_version(registry, version)
     if version.tags.get(TRIAL_ONLY):
         verdicts.append(Verdict("the twin is confirmed", False, version.tags[TRIAL_ONLY]))
@@ -111,6 +112,7 @@ def trial(
 
     Raises ``GateRefusal`` when an offline gate says no.
     """
+    require_comment(comment)
     bundle, verdicts = check_version(registry, version)
     _record_verdicts(registry, version, verdicts)
     if not all(v.passed for v in verdicts):
@@ -136,6 +138,7 @@ def rollback(registry: Registry, home: Home, machine: str, comment: str = "") ->
 
     Raises ``InputError`` when the machine has neither.
     """
+    require_comment(comment)
     with _alone(home, machine):
         return _roll_back(registry, home, machine, by_pointer(registry, home, machine), comment)
 

@@ -27,12 +27,25 @@ if TYPE_CHECKING:
 HISTORY = "promotions.jsonl"
 """Name of the history in the folder of a machine's bundles."""
 _ENTRY = {"time", "version", "action", "comment", "failed"}
+LONGEST_COMMENT = 1000
+"""Characters of why something is promoted or rolled back: a table of the history shows it."""
 _Action = Literal["trial", "proposed", "champion", "refused", "rollback"]
 
 
 def bundle_path(home: Home, version: RegisteredVersion) -> Path:
     """Return where the bundle of a version that may be served lies."""
     return machine_folder(version.machine, home) / f"v{int(version.version):04d}.json"
+
+
+def require_comment(comment: str) -> None:
+    """Raise ``InputError`` for a comment that no table of the history can show."""
+    if len(comment) > LONGEST_COMMENT:
+        raise InputError(
+            "the comment is too long",
+            code="promote.comment",
+            got=f"{len(comment)} characters",
+            allowed=f"up to {LONGEST_COMMENT}",
+        )
 
 
 def was_champion(home: Home, version: RegisteredVersion) -> bool:

@@ -12,6 +12,7 @@ from starlette.responses import JSONResponse, Response
 from dtwin.errors import InputError
 from dtwin.report.html import Table
 from dtwin.report.model_plots import comparison_figure, evidence_figure, front_figure, r2_figure
+from dtwin.train.promotion_books import LONGEST_COMMENT
 from dtwin.workbench import _models as models
 from dtwin.workbench._bench import Bench, Here
 from dtwin.workbench._jobs import Tell
@@ -23,7 +24,7 @@ router = APIRouter()
 class _Comment(BaseModel):
     """Why something is promoted or rolled back; kept in the history."""
 
-    comment: str = Field("", max_length=1000)
+    comment: str = Field("", max_length=LONGEST_COMMENT)
     trial: bool = False
 
 

@@ -163,6 +163,10 @@ def test_the_first_champion_can_be_taken_back(registry: Registry) -> None:
     with pytest.raises(InputError, match="no champion"):
         rollback(registry, home, "first")
     champion(registry, version)
+    # As from a flow, whose form has no limit.
+    with pytest.raises(InputError, match="comment is too long"):
+        rollback(registry, home, "first", "x" * 1001)
+    assert champion_of(home, "first")
     assert rollback(registry, home, "first", "it hummed") is None
     assert barred_why("first", home, 1) == "it hummed"
     assert state_of(registry.version("first", "1"), home) == "barred"
