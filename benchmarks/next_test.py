@@ -3,7 +3,7 @@
 Drawn machines with six faults on three axes. Circles come from the virtual mill (mechanisms, noise 0.1 µm), positions from
 formulas of their own (``tests/laser_axis.py``: lead and lost motion, noise 0.15 µm, datum 0.3 µm). Every test is diagnosed from
 nothing, and the tests that were made are compared by ``dtwin.physics.joint``. A fault is told when one test names it alone, or
-another test settles the group that it is in. What a full design of all tests tells in the end is the mark; counted are the minutes,
+another test settles the group that it is in, or its size follows from several tests. What a full design of all tests tells in the end is the mark; counted are the minutes,
 mounting included, until a policy has told the same. ``proposed`` takes, after each test, the one with the most bits per minute;
 ``by chance`` takes a random one of the same list (mean of ten orders). Unit of replication: the machine.
 
@@ -32,7 +32,7 @@ from dtwin.kinds.registry import kinds
 from dtwin.machines.mill import VirtualMill
 from dtwin.machines.mill_parameters import CircularTest, MillParameters, NoiseParameters
 from dtwin.physics.diagnose import diagnose
-from dtwin.physics.joint import MachineTest, joint
+from dtwin.physics.joint import Joint, MachineTest, joint
 from dtwin.physics.library import Library
 from dtwin.physics.next_test import Knowledge, Made, unclear
 from dtwin.physics.observations import Observations, observe
@@ -129,12 +129,19 @@ class Machine:
     def told(self, numbers: Sequence[int]) -> set[str]:
         """Return the faults that these tests tell together."""
         alone = {group[0] for groups in self.groups(numbers) for group in groups if len(group) == 1}
+        sizes = {(one.cause, one.axis) for one in self._joint(numbers).shared if not one.apart}
+        alone |= {
+            f"{effect.name} {axis}" for effect in LIBRARY.values() for cause, axis in sizes if effect.cause == cause
+        }
         return {fault for fault, names in self.faults.items() if names & alone}
+
+    def _joint(self, numbers: Sequence[int]) -> Joint:
+        return joint([self.test(n) for n in numbers], LIBRARY)
 
     def groups(self, numbers: Sequence[int]) -> list[list[tuple[str, ...]]]:
         """Return what each of these tests finds by itself, settled by the others."""
         tests = [self.test(n) for n in numbers]
-        settled = {(s.campaign, s.group): s.left for s in (joint(tests, LIBRARY).settled if len(tests) > 1 else ())}
+        settled = {(s.campaign, s.group): s.left for s in self._joint(numbers).settled}
         found = [[tuple(s.label for s in group) for group in test.found.found] for test in tests]
         return [
             [settled.get((test.campaign, group)) or group for group in groups]
@@ -166,7 +173,9 @@ class Machine:
         """Return the test with the most bits per minute."""
         empty = [_foreseen(self.planned[n]) for n in left]
         noise = {p.kind: p.noise_um for p in self.planned}
-        known = [Made(self.test(n).obs, left) for n, left in zip(made, unclear(self.groups(made)), strict=True)]
+        known = [
+            Made(self.test(n).obs, left) for n, left in zip(made, unclear(self.groups(made), LIBRARY), strict=True)
+        ]
         knowledge = Knowledge(known, empty, LIBRARY, noise)
         return max(left, key=lambda n: knowledge.worth(left.index(n)).bits / self.minutes[n])
 

@@ -65,10 +65,10 @@ class Size:
 
 @dataclass(frozen=True)
 class Shared:
-    """A cause that several tests measured.
+    """A cause that several tests measured, or that follows from what several measured.
 
     ``cause``, ``axis``: what it is; ``axis`` is a plane for the difference of its two axes.
-    ``sizes``: in the order of the tests.
+    ``sizes``: in the order of the tests; a single one follows from the difference of two axes and the other axis.
     ``value``, ``uncertainty``: all of them together, each by its own uncertainty; k = 2. NaN where they contradict each
     other.
     ``apart``: campaigns that contradict each other, by how much, and the uncertainty of that, k = 2.
@@ -163,7 +163,7 @@ def joint(
     ]
     for one, found in settled:
         one.groups = [found.left or group if group == found.group else group for group in one.groups]
-    return Joint(tuple(_shared(measured)), tuple(found for _, found in settled))
+    return Joint((*_shared(measured), *_following(measured)), tuple(found for _, found in settled))
 
 
 class _Measured:
@@ -250,17 +250,17 @@ def _elsewhere(cause: Cause, others: Iterable[_Measured]) -> Size | None:
     if pair is not None:
         parts = [_elsewhere((cause[0], axis), others) for axis in pair]
         if parts[0] is not None and parts[1] is not None:
-            seen.append(_difference(parts[0], parts[1]))
+            seen.append(_sum(parts[0], parts[1], -1.0))
     return min(seen, key=lambda size: size.uncertainty, default=None)
 
 
-def _difference(first: Size, second: Size) -> Size:
+def _sum(first: Size, second: Size, sign: float = 1.0) -> Size:
     both = dict.fromkeys((first.campaign, second.campaign))
     return Size(
         ", ".join(both),
         max(first.started, second.started),
-        f"{first.label} - {second.label}",
-        first.value - second.value,
+        f"{first.label} {'+' if sign > 0.0 else '-'} {second.label}",
+        first.value + sign * second.value,
         float(np.hypot(first.uncertainty, second.uncertainty)),
     )
 
@@ -346,6 +346,27 @@ def _shared(measured: Sequence[_Measured]) -> list[Shared]:
         if len(sizes) > 1:
             out.append(_together(cause, measured[0].unit(cause), sorted(sizes, key=lambda size: size.started)))
     return out
+
+
+def _following(measured: Sequence[_Measured]) -> list[Shared]:
+    """Return the axes that no test tells alone, of whose cause a difference was found and the other axis is known."""
+    alone = dict.fromkeys(cause for one in measured for cause in one.causes())
+    differences = [cause for cause in alone if cause[1] in AXES_OF]
+    known: dict[Cause, Size] = {}
+    for name, plane in differences:
+        for axis in AXES_OF[plane]:
+            size = _elsewhere((name, axis), measured)
+            if size is not None:
+                known[name, axis] = size
+    out: dict[Cause, Size] = {}
+    for name, plane in differences * len(AXES_OF):
+        first, second = ((name, axis) for axis in AXES_OF[plane])
+        between = _elsewhere((name, plane), measured)
+        if between is None or (first in known) == (second in known):
+            continue
+        one, sign = (second, -1.0) if first in known else (first, 1.0)
+        known[one] = out[one] = _sum(known[second if sign > 0.0 else first], between, sign)
+    return [_together(cause, measured[0].unit(cause), [out[cause]]) for cause in out if _is_there(out[cause])]
 
 
 def _together(cause: Cause, unit: str, sizes: Sequence[Size]) -> Shared:

@@ -4,8 +4,8 @@ The sizes of causes are unknown numbers that several instruments see. Before any
 ordinary size. A test takes from that what its runs show beside their set-ups and its noise, so that two causes
 that no test tells apart stay uncertain together. The worth of a planned test is the sum over all sizes of the bits
 that it adds. Sizes count to a tenth of the ordinary one: to know a size still better tells nothing about which faults
-there are. Bits count in full about what a test found and could not tell apart, and by ``_SHARE`` about what no test
-has shown, for most machines do not have it.
+there are. Bits count in full about what a test found and could not tell apart, once for each such finding, and by
+``_SHARE`` about what no test has shown, for most machines do not have it.
 
 Linear Bayesian design: K. Chaloner and I. Verdinelli, Bayesian experimental design: a review, Statistical
 Science 10 (1995) 273-304. Shapes of effects (pitch, frequency, travel) are taken at their starting values.
@@ -90,7 +90,7 @@ class _Worth:
 class Made:
     """A test that was made.
 
-    ``unclear``: groups of effects, with their axes, that it found and that no test tells apart, see :func:`unclear`.
+    ``unclear``: groups of effects, with their axes, that it found and that leave open what it is, see :func:`unclear`.
     """
 
     obs: Observations
@@ -118,7 +118,8 @@ class Knowledge:
         self._found = {label for test in measured for group in test.unclear for label in group}
         # How much larger than ordinary a cause must be where a test found it, or what looks alike.
         self._larger: dict[tuple[str, str, str], float] = {}
-        self._certain: set[Unknown] = set()
+        # For each unknown the labels, of what a test found and nothing settled, that it may be behind.
+        self._behind: dict[Unknown, set[str]] = {}
         noise: dict[str, PureError] = {}
         seen = []
         for test in measured:
@@ -157,7 +158,7 @@ class Knowledge:
         """Return what the planned test with this number adds to those that were made."""
         old, new = (_spread(matrix) for matrix in (self._before, self._before + self._planned[number]))
         bits = 0.5 * np.log2((old**2 + _ENOUGH**2) / (new**2 + _ENOUGH**2))
-        counts = np.array([1.0 if unknown in self._certain else _SHARE for unknown in self._index])
+        counts = np.array([len(self._behind.get(unknown, ())) or _SHARE for unknown in self._index])
         newly = [(old[i] / new[i], u, i) for u, i in self._index.items() if old[i] > _TOLD >= new[i]]
         told = [
             _Gain(u, *(float(_COVERAGE_FACTOR * s[i] * u.typical) for s in (old, new)))
@@ -198,7 +199,7 @@ class Knowledge:
                     unknown = Unknown(name, axis, part, parameter.unit, larger * parameter.typical, sort)
                     columns[unknown] = columns.get(unknown, 0.0) + sign * unknown.typical * own[:, i]
                     if label in self._found:
-                        self._certain.add(unknown)
+                        self._behind.setdefault(unknown, set()).add(label)
         at = [self._index.setdefault(unknown, len(self._index)) for unknown in columns]
         matrix = np.stack(list(columns.values()), axis=1)
         noise = seen.problem.noise
@@ -235,10 +236,24 @@ class _Seen:
         return float(np.sqrt(((self.columns[label] * sizes) ** 2).sum(axis=1).mean()))
 
 
-def unclear(tests: Sequence[Sequence[Sequence[str]]]) -> list[list[Sequence[str]]]:
-    """Return, of the groups that each test found, those of which no test names a member alone."""
+def unclear(tests: Sequence[Sequence[Sequence[str]]], library: Mapping[str, Effect]) -> list[list[Sequence[str]]]:
+    """Return, of the groups that each test found, those that leave open what it is.
+
+    Of a group of several effects no test names a member alone. A difference of two axes, as a scale mismatch, leaves open
+    which of them it is, until a test names the cause on one of them alone.
+    """
     alone = {group[0] for groups in tests for group in groups if len(group) == 1}
-    return [[group for group in groups if len(group) > 1 and not alone & set(group)] for groups in tests]
+    split = {label: label.partition(" ") for label in alone}
+    told = {(library[name].cause, axis) for name, _, axis in split.values()}
+
+    def is_open(group: Sequence[str]) -> bool:
+        if len(group) > 1:
+            return not alone & set(group)
+        name, _, where = split[group[0]]
+        cause = library[name].cause
+        return bool(cause) and where in AXES_OF and not any((cause, axis) in told for axis in AXES_OF[where])
+
+    return [[group for group in groups if is_open(group)] for groups in tests]
 
 
 def _spread(information: Floats) -> Floats:

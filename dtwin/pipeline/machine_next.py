@@ -52,7 +52,7 @@ def machine_next(
         compared(home, machine, chosen, known, progress) if chosen else {"tests": [], "settled": [], "passed_over": {}}
     )
     counted, groups = [test["campaign"] for test in together["tests"]], _groups(together)
-    measured = [Made(load(home, name).obs, left) for name, left in zip(counted, unclear(groups), strict=True)]
+    measured = [Made(load(home, name).obs, left) for name, left in zip(counted, unclear(groups, known), strict=True)]
     plans = _proposed(record, allowed, [test.obs for test in measured])
     within = [(p, document) for p, document in plans if minutes is None or _minutes(p) <= minutes]
     if not plans:
@@ -95,7 +95,7 @@ def machine_next(
         "machine": machine,
         "measured": counted,
         "passed_over": together["passed_over"],
-        "unclear": [list(group) for test in measured for group in test.unclear],
+        "unclear": [list(group) for test in measured for group in test.unclear if len(group) > 1],
         "untold": _by_cause(knowledge.untold),
         "tests": sorted(tests, key=lambda test: -test["bits_per_minute"]),
     }

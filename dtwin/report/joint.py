@@ -43,6 +43,9 @@ def _cause(shared: _Told) -> str:
 def _agreement(shared: _Told) -> str:
     sizes = "; ".join(_size(size, shared["unit"]) for size in shared["sizes"])
     together = with_k2(shared["value"], shared["uncertainty"], shared["unit"])
+    if len(shared["sizes"]) == 1:
+        (size,) = shared["sizes"]
+        return f"{_cause(shared)}: {together}, as {words_of(size['label'])} ({size['campaign']})."
     return f"{_cause(shared)}: {together} from {len(shared['sizes'])} tests that agree ({sizes})."
 
 

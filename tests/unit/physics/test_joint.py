@@ -62,6 +62,15 @@ def test_a_scale_that_one_circle_cannot_tell_from_dynamics_is_named_by_the_laser
     assert settled_with(found, "scale_mismatch XY").left == ("scale_mismatch XY",)
 
 
+def test_the_scale_of_an_axis_without_a_laser_follows_from_circles_and_that_of_the_other() -> None:
+    mill = MillParameters().with_axis("X", scale_ppm=30.0).with_axis("Y", scale_ppm=-20.0)
+    bar = judged("bar", mill_and_laser.circles(mill, 1, radii_mm=(50.0, 150.0), feeds_mm_min=(1000.0, 3000.0)))
+    (x,) = (one for one in joint([bar, laser("Y", -20.0, 0.0)], LIBRARY).shared if one.axis == "X")
+    assert (x.cause, x.apart) == ("scale", ())
+    assert abs(x.value - 30.0) < x.uncertainty < 5.0
+    assert joint([bar], LIBRARY).shared == ()
+
+
 def test_dynamics_that_look_like_a_scale_are_not_called_one() -> None:
     bar = circles(MillParameters().with_axis("X", mode_share=0.6))
     settled = settled_with(joint([bar, laser("X", 0.0, 0.0), laser("Y", 0.0, 0.0)], LIBRARY), "scale_mismatch XY")
