@@ -15,6 +15,7 @@ from dtwin.acquire._recovery import signal_findings
 from dtwin.acquire._tabular import read_columns
 from dtwin.acquire._trace_json import read_trace_json
 from dtwin.acquire.b5r import read_b5r
+from dtwin.acquire.foreign_table import house_file
 from dtwin.acquire.signal_files import is_table_of_signals, read_signals
 from dtwin.acquire.xmlsafe import read_bounded
 from dtwin.atomic import write_toml
@@ -227,7 +228,14 @@ def _read_entry(entry: FolderEntry, campaign: Campaign) -> tuple[list[Run], list
         done = [_completed(r, entry, f"{entry.run_id}-{r.meta.run_id}", by_reader=True) for r in runs]
         kept = [RejectedRows(done[0].meta.run_id, str(entry.file), rows)] if rows else []
         return [kind.completed(run, campaign) for run in done], kept
-    return _read_table(entry, campaign)
+    try:
+        return _read_table(entry, campaign)
+    except InputError as error:
+        if error.code not in ("columns.missing", "table.malformed"):
+            raise
+        with house_file(entry.file, kind, entry.stated, campaign.instrument.get("columns", {}), error) as lone:
+            runs, kept = _read_entry(replace(entry, file=lone), campaign)
+        return [replace(run, source=str(entry.file)) for run in runs], kept
 
 
 def _checked(entry: FolderEntry, kind: Kind) -> dict[str, Any]:

@@ -6,9 +6,7 @@ below it. A number without a unit is left out until it is told what it is: a wro
 
 from __future__ import annotations
 
-import csv
 import hashlib
-import io
 import json
 import re
 import tempfile
@@ -20,33 +18,20 @@ from typing import Any
 import tomli_w
 
 from dtwin.acquire._lone_table import open_table, safe_name
-from dtwin.acquire._recipes import recipe_of, recipe_path
+from dtwin.acquire._recipes import recipe_path
 from dtwin.acquire._tabular import is_parquet_of_a_kind
 from dtwin.acquire.axis_titles import part_of_axis
-from dtwin.acquire.channel_log import as_table, is_channel_log
-from dtwin.acquire.foreign_columns import (
-    Column,
-    below_heads,
-    columns_of,
-    converted,
-    header_row,
-    joined_heads,
-    require_one_table,
-    require_told_apart,
-    require_usual_sign,
-)
-from dtwin.acquire.one_channel import require_one_channel
-from dtwin.acquire.repeated_heads import require_heads_for_all
+from dtwin.acquire.foreign_columns import Column, columns_of
+from dtwin.acquire.foreign_table import MAX_BYTES, as_csv, in_house_form, look, with_titled_way
 from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
 from dtwin.acquire.spreadsheet import table_bytes
-from dtwin.acquire.table_dialect import DECIMALS, decoded, encoding_of, is_comment, mark_of, remarks_of, rows_of
+from dtwin.acquire.table_dialect import decoded
 from dtwin.atomic import make_folder, write_text, write_toml
 from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.kinds.kind import Kind
 from dtwin.kinds.registry import kind_named, kinds
 
-_MAX_BYTES = 64 * 1024**2
 _PLAIN = (".csv", ".tsv", ".txt", ".dat", ".log", ".parquet", *SPREADSHEETS)
 _SHOWN = 4
 # The direction is that in which the angle runs, file by file.
@@ -108,89 +93,12 @@ class Understood:
         }
 
 
-@dataclass(frozen=True)
-class Looked:
-    """Heads and rows of a file, and what stands above, before anything is known of them; ``of_channels``: made of a log with one line a reading."""
-
-    heads: tuple[str, ...]
-    units: tuple[str, ...] | None
-    body: tuple[tuple[str, ...], ...]
-    begin: int
-    encoding: str
-    mark: str
-    decimal: str
-    stored: Mapping[str, Any]
-    rows: tuple[tuple[str, ...], ...]
-    titles: tuple[tuple[str, ...], ...]
-    of_channels: bool
-
-
 def read_as_it_is(path: Path) -> bool:
     """Return whether a file needs no import: Parquet with the house's names and numbers, and forms that are no plain table."""
     suffix = path.suffix.lower()
     if suffix == ".parquet":
         return is_parquet_of_a_kind(path)
     return suffix not in _PLAIN and any(kind.takes_alone(path) for kind in kinds())
-
-
-def look(path: Path, home: Home, decimal: str = "", axis: str = "") -> Looked:
-    """Return the table of a file, and what is remembered of an earlier one with its heads.
-
-    ``decimal``: ``comma`` or ``point``; empty: as it is remembered, else as the marks between columns tell.
-    ``axis``: whose table is taken of a workbook or a text of several.
-
-    Raises ``InputError`` when it is no table.
-    """
-    if decimal not in ("", *DECIMALS):
-        raise InputError(
-            "a decimal sign is a comma or a point", code="import.decimal", got=decimal[:20], allowed=", ".join(DECIMALS)
-        )
-    data = table_bytes(path, _MAX_BYTES, axis)
-    text = decoded(data)
-    if of_channels := is_channel_log(text):
-        text = as_table(text)
-    elif axis:
-        text = part_of_axis(text, axis, path)
-    rows, begin, heads, stored, sign = _seen(text, path, home, decimal)
-    units, body = below_heads(rows, begin)
-    lines = [line for line in text.splitlines() if line.strip() and not is_comment(line)]
-    return Looked(
-        heads,
-        None if units is None else tuple(units),
-        tuple(map(tuple, body)),
-        begin,
-        encoding_of(data),
-        mark_of(lines),
-        sign,
-        stored,
-        tuple(map(tuple, rows[begin:])),
-        tuple(map(tuple, [*remarks_of(text), *rows[:begin]])),
-        of_channels,
-    )
-
-
-def _seen(
-    text: str, path: Path, home: Home, decimal: str
-) -> tuple[list[list[str]], int, tuple[str, ...], Mapping[str, Any], str]:
-    """Return rows, the row of heads, the heads, what is remembered for them, and the decimal sign that is told or remembered."""
-    require_heads_for_all(text, path)
-    refused: InputError | None = None
-    for sign in (decimal,) if decimal else ("", *DECIMALS):
-        rows = [list(row) for row in joined_heads(rows_of(text, sign), path)]
-        try:
-            begin = header_row(rows, path)
-        except InputError as error:
-            # Numbers of another sign look like words; heads in two rows are for the kind that knows them.
-            refused = refused or error
-            if not rows or decimal or not any(kind.takes_alone(path) for kind in kinds()):
-                continue
-            begin = 0
-        heads = tuple(cell.strip() for cell in rows[begin])
-        stored = recipe_of(home, heads)
-        if decimal or stored.get("decimal", "") == sign:
-            return rows, begin, heads, stored, sign
-    assert refused is not None
-    raise refused
 
 
 def understand(
@@ -215,7 +123,7 @@ def understand(
     looked = look(path, home, decimal, axis)
     if not axis:
         # Of several the one must be told; heads are shown without.
-        part_of_axis(decoded(table_bytes(path, _MAX_BYTES)), "", path)
+        part_of_axis(decoded(table_bytes(path, MAX_BYTES)), "", path)
     heads, stored = looked.heads, looked.stored
     answers = {**stored.get("columns", {}), **answers}
     unknown = sorted(set(answers) - set(heads))
@@ -230,7 +138,7 @@ def understand(
     given = {name: value for name, value in told.items() if value is not None}
     kept = {k: v for k, v in stored.get("told", {}).items() if k in _REMEMBERED}
     told = {**kept, **given}
-    plain = _as_csv(looked.rows)
+    plain = as_csv(looked.rows)
     with tempfile.TemporaryDirectory() as scratch:
         lone = Path(scratch) / f"{safe_name(path.stem)}.csv"
         write_text(lone, plain, "a table")
@@ -239,25 +147,18 @@ def understand(
         known = not answers and any(kind.takes_alone(lone) for kind in kinds())
         if of_file and not (known and looked.decimal):
             # What was taken for titles belongs to it, as the directions above blocks, or in a table on its side.
-            known, plain = True, part_of_axis(decoded(table_bytes(path, _MAX_BYTES, axis)), axis, path)
+            known, plain = True, part_of_axis(decoded(table_bytes(path, MAX_BYTES, axis)), axis, path)
             write_text(lone, plain, "a table")
         if not known:
-            require_one_table(heads, looked.body, path, once=True)
-            require_usual_sign([*looked.titles, heads], path)
-            columns = columns_of(heads, looked.units, answers)
-            require_told_apart(columns, looked.body, path)
-            require_one_channel(heads, looked.body, [i for i, one in enumerate(columns) if one.unit], path)
-            plain = _as_csv(converted(columns, looked.body))
+            columns, plain = in_house_form(looked, answers, path)
             write_text(lone, plain, "a table")
         kind = str(told.get("kind") or "") or _kind(lone, plain.partition("\n")[0].split(","), columns, path, told)
         above = kind_named(kind).told_above(path)
         told = {**kept, **above, **given}
         if not known:
             titled = kind_named(kind).titled(looked.titles, columns, looked.body, told, path)
-            if way := titled.get("direction"):
-                # As a title it is that of readings that were sorted by the angle, too.
-                plain = f"Direction: {way}\n{plain}"
-                write_text(lone, plain, "a table")
+            plain = with_titled_way(plain, titled)
+            write_text(lone, plain, "a table")
             told |= titled
         missing = tuple(name for name in kind_named(kind).stated or () if name not in told)
         runs: tuple[tuple[str, int], ...] = ()
@@ -378,9 +279,3 @@ def _example(names: Sequence[str], columns: Sequence[Column], told: Mapping[str,
     pairs = ((c.head, n) for n in lacking for c in free if columns_of([c.head], [c.unit], {c.head: n})[0].name)
     head, name = next(pairs, ("", ""))
     return f'--column "{head}={name}", where that is a {meant.name} test,' if head else '--column "HEAD=NAME"'
-
-
-def _as_csv(rows: Sequence[Sequence[str]]) -> str:
-    out = io.StringIO()
-    csv.writer(out, lineterminator="\n").writerows(rows)
-    return out.getvalue()

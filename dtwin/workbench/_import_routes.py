@@ -14,7 +14,8 @@ from starlette.concurrency import run_in_threadpool
 from starlette.requests import ClientDisconnect
 from starlette.responses import JSONResponse
 
-from dtwin.acquire.importing import Looked, look, read_as_it_is, understand, write_folder
+from dtwin.acquire.foreign_table import Looked, look
+from dtwin.acquire.importing import read_as_it_is, understand, write_folder
 from dtwin.acquire.ingest import open_source
 from dtwin.errors import InputError
 from dtwin.kinds.registry import kind_named, kinds

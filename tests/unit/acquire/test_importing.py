@@ -438,3 +438,26 @@ def test_conditions_that_are_missing_are_asked_of_the_file_that_the_user_knows(t
         write_folder(understand(path, Home(tmp_path), {"machine": "m"}, {}), tmp_path / "out", Home(tmp_path))
     assert (refused.value.where, refused.value.code) == (str(path), "ingest.condition")
     assert (refused.value.hint or "").startswith(f"dtwin import '{path}' --out FOLDER --plane XY")
+
+
+def test_tables_of_another_program_in_a_campaign_folder(tmp_path: Path) -> None:
+    """One campaign of several runs, each in a file with heads that are not the house's."""
+    runs = [(f"{way}{n}", way, n) for way in ("CCW", "CW") for n in (1, 2)]
+    document = '[campaign]\nname = "c"\nmachine = "m"\nkind = "circular"\n'
+    for name, way, n in runs:
+        lines = circle(below=n == 1).splitlines()
+        rows = lines[-400:] if way == "CCW" else lines[:-401:-1]
+        (tmp_path / f"{name}.csv").write_text("\n".join([*lines[:-400], *rows]), "utf-8")
+        document += f'[[run]]\nid = "{name}"\nfile = "{name}.csv"\nplane = "XY"\nradius_mm = 100.0\nfeed_mm_min = 1000.0\ndirection = "{way}"\nrepeat = {n}\n'
+    (tmp_path / "campaign.toml").write_text(document, "utf-8")
+    read = [run for found, _ in open_source(tmp_path)[1] for run in found]
+    assert [(run.meta.direction, run.meta.repeat) for run in read] == [(way, n) for _, way, n in runs]
+    assert {Path(run.source).name for run in read} == {f"{name}.csv" for name, _, _ in runs}
+    assert all(np.ptp(run.samples["deviation_um"]) == pytest.approx(8.0, abs=0.01) for run in read)
+    (tmp_path / "CW1.csv").write_text(circle().replace("Abweichung", "Kanal 1").replace("mm", "µm"), "utf-8")
+    with pytest.raises(InputError, match="lacks columns") as refused:
+        list(open_source(tmp_path)[1])
+    assert "[campaign.instrument.columns]" in str(refused.value.hint)
+    columns = '[campaign.instrument.columns]\n"Kanal 1" = "deviation_um"\n'
+    (tmp_path / "campaign.toml").write_text(document.replace("[[run]]", f"{columns}[[run]]", 1), "utf-8")
+    assert len([run for found, _ in open_source(tmp_path)[1] for run in found]) == 4
