@@ -12,6 +12,8 @@ from dtwin.report.recorded import contradiction_words, events_words
 from dtwin.report.text import words_of
 
 _Told = Mapping[str, Any]
+# Share of their difference by which two sizes may fail to be opposite.
+_OPPOSITE = 0.1
 
 
 def joint_lines(found: Mapping[str, Any], library: Mapping[str, Effect], events: Sequence[Event] = ()) -> list[str]:
@@ -55,9 +57,15 @@ def _contradiction(shared: _Told, events: Sequence[Event]) -> str:
     days = sorted(size["started"] for size in shared["sizes"] if size["campaign"] in (first, second))
     between = tuple(days) if len(days) == 2 and days[0] else ()
     told = [[e.as_dict() for e in events_between(events, *between)]] if between else []
+    one, other = (size["value"] for name in (first, second) for size in shared["sizes"] if size["campaign"] == name)
+    opposite = (
+        " Equal and opposite: directions, or signs, may be exchanged in one of the files."
+        if abs(one + other) < _OPPOSITE * abs(one - other)
+        else ""
+    )
     return (
         f"{_cause(shared)} contradicts itself: {sizes}. Between {first} and {second} lie "
-        f"{with_k2(by, spread, shared['unit'])}: {contradiction_words('change or mistake', between, told)}."
+        f"{with_k2(by, spread, shared['unit'])}: {contradiction_words('change or mistake', between, told)}.{opposite}"
     )
 
 

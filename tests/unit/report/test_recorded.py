@@ -105,6 +105,11 @@ def test_tests_that_are_compared_one_by_one_are_told_the_same(on: date, said: st
     (line,) = joint_lines({"shared": [{**shared, "apart": apart}], "settled": []}, {}, [Event(on, "moved")])
     assert said in line
     assert "Between a and b lie 3.00 ± 0.28 µm" in line
+    assert "opposite" not in line
+    sizes[1]["value"] = -2.9
+    apart[0][2] = -5.9
+    (line,) = joint_lines({"shared": [{**shared, "apart": apart}], "settled": []}, {}, [Event(on, "moved")])
+    assert line.endswith("Equal and opposite: directions, or signs, may be exchanged in one of the files.")
 
 
 @pytest.mark.parametrize("on", [date(2026, 5, 3), date(2026, 5, 8)])
