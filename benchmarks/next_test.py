@@ -217,10 +217,19 @@ def main() -> None:
         print(json.dumps(rows))
         return
     print(table(list(rows[0]), [list(r.values()) for r in rows]))
-    for other in ("full, min", "by chance, min"):
-        ratios = [r["proposed, min"] / r[other] for r in rows]
+    middles = {name: float(np.nanmedian([r[name] for r in rows])) for name in rows[0] if name.endswith("min")}
+    print("medians: " + ", ".join(f"{name} {value:.0f}" for name, value in middles.items()))
+    for one, other in (
+        ("proposed, min", "full, min"),
+        ("by chance, min", "full, min"),
+        ("proposed, min", "by chance, min"),
+    ):
+        ratios = [r[one] / r[other] for r in rows]
         low, middle, high = np.nanquantile(ratios, [0.25, 0.5, 0.75])
-        print(f"proposed / {other.partition(',')[0]}: median {middle:.2f}, quartiles {low:.2f} to {high:.2f}")
+        names = " / ".join(name.partition(",")[0] for name in (one, other))
+        print(
+            f"{names}: median {middle:.2f}, quartiles {low:.2f} to {high:.2f}; at most half: {sum(r <= 0.5 for r in ratios)}"
+        )
 
 
 if __name__ == "__main__":
