@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import itertools
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dtwin.physics._dictionary import PITCH, Dictionary, Entry, is_periodic
 from dtwin.physics._shapes import refined
@@ -62,7 +62,8 @@ class Hunt:
         self._per_effect = 2.0 * level * float(np.log(max(2, len(dictionary.candidates.instances))))
         self._noise = level * float(problem.obs.mask.sum())
         self._most = _CARRIED * problem.obs.n_bins if problem.obs.there_and_back else np.inf
-        self._prices: list[float] = []
+        # Of each entry of the dictionary.
+        self._prices, self._widths, self._parities = np.empty(0), np.empty(0), np.empty(0, dtype=str)
         self._barred: set[str] = set()
 
     def left(self, chosen: Sequence[Entry]) -> float:
@@ -132,9 +133,12 @@ class Hunt:
     def _best(self, chosen: Sequence[Entry], fewer: float = np.inf) -> tuple[Entry, float] | None:
         """Return the entry of fewer numbers than so many that would lower the cost most beside a set, and its gain."""
         entries = self.dictionary.entries
-        self._prices += [self._price(entry) for entry in entries[len(self._prices) :]]
+        if new := entries[len(self._prices) :]:
+            self._prices = np.append(self._prices, [self._price(entry) for entry in new])
+            self._widths = np.append(self._widths, [entry.width for entry in new])
+            self._parities = np.append(self._parities, [entry.parity for entry in new])
         gains = self.dictionary.gains(chosen)
-        worth = gains - np.array(self._prices)
+        worth = gains - self._prices
         worth[self.dictionary.numbers_of({entry.label for entry in chosen} | self._barred)] = -np.inf
         worth[self._too_many(chosen)] = -np.inf
         if np.isfinite(fewer):
@@ -144,15 +148,12 @@ class Hunt:
         number = len(worth) - 1 - int(np.argmax(worth[::-1]))
         return entries[number], float(gains[number])
 
-    def _too_many(self, chosen: Sequence[Entry]) -> list[int]:
-        """Return the numbers of the entries that have, with a set, more columns of one parity than targets carry."""
-        if not np.isfinite(self._most):
-            return []
-        numbers = Counter[str]()
+    def _too_many(self, chosen: Sequence[Entry]) -> NDArray[np.bool_]:
+        """Tell of each entry whether it has, with a set, more columns of one parity than targets carry."""
+        numbers = self._widths.copy()
         for entry in chosen:
-            numbers[entry.parity] += entry.width
-        entries = enumerate(self.dictionary.entries)
-        return [n for n, entry in entries if numbers[entry.parity] + entry.width > self._most]
+            numbers[self._parities == entry.parity] += entry.width
+        return numbers > self._most
 
     def _grown(self, chosen: list[Entry]) -> list[Entry]:
         while True:

@@ -230,7 +230,7 @@ def likely_pitches(obs: Observations, residual: Floats, instance: Instance, n: i
             # The first axis moves against its positive sense where sin is positive in CCW.
             sense = -sign_of_row[row] * np.sign(across) if odd else 1.0
             mean += sense * angle_domain[row]
-        total += (mean * along) @ _waves(axis == AXES_OF[plane][0], radius, len(rate), rate[0], rate[-1])
+        total += (mean * along) @ _waves((radius * along).tobytes(), rate.tobytes())
     return _peaks(rate, np.abs(total), n) or [10.0]
 
 
@@ -253,7 +253,7 @@ def _pitches_along(obs: Observations, um: Floats, n: int) -> list[float]:
         return []
     rate = np.arange(1.0 / travel_mm, 1.0 / _SHORTEST_MM, 1.0 / (8.0 * travel_mm))
     mean = (um * obs.mask).sum(axis=0)
-    power = np.abs((mean - mean.mean()) @ np.exp(-2j * np.pi * np.outer(at_mm, rate)))
+    power = np.abs((mean - mean.mean()) @ _waves(at_mm.tobytes(), rate.tobytes()))
     resolved = rate < 1.0 / (_RESOLVED * steps_mm.mean())
     # A longer wave that does nearly as well is the one that is there.
     longer = max((_explained(mean, at_mm / mm) for mm in _peaks(rate[resolved], power[resolved], n)), default=0.0)
@@ -279,12 +279,9 @@ def _explained(um: Floats, turns: Floats) -> float:
 
 
 @lru_cache(maxsize=32)
-def _waves(first: bool, radius_mm: float, n: int, slowest: float, fastest: float) -> _Complexes:
-    """Return exp(-2 pi i x r) for every bin and rate; a campaign asks for few of them often."""
-    theta = bin_angle_rad()
-    along = np.cos(theta) if first else np.sin(theta)
-    rate = np.linspace(slowest, fastest, n)
-    return np.asarray(np.exp(-2j * np.pi * np.outer(radius_mm * along, rate)))
+def _waves(at_mm: bytes, rate: bytes) -> _Complexes:
+    """Return exp(-2 pi i x r) for every place and rate; a campaign asks for few of them often."""
+    return np.asarray(np.exp(-2j * np.pi * np.outer(np.frombuffer(at_mm), np.frombuffer(rate))))
 
 
 def _by_radius(obs: Observations) -> list[tuple[str, float, dict[int, float], list[int]]]:

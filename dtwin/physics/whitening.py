@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
@@ -198,8 +199,16 @@ def smoothed(power: Floats) -> Floats:
     harmonic = harmonic_numbers(power.shape[-1])
     first = np.searchsorted(harmonic, np.arange(harmonic[-1] + 1))
     level = np.add.reduceat(power, first, axis=-1) / np.bincount(harmonic)
-    out = level.copy()
-    for h in range(SEPARATE, level.shape[-1]):
+    return np.asarray((level @ _neighbours(level.shape[-1]))[..., harmonic])
+
+
+@cache
+def _neighbours(n: int) -> Floats:
+    """Return the share of each of n harmonics, the rows, in the mean about each of them, shape (n, n)."""
+    out = np.eye(n)
+    for h in range(SEPARATE, n):
         half = 2 if h < 12 else 6
-        out[..., h] = level[..., max(SEPARATE, h - half) : h + half + 1].mean(axis=-1)
-    return np.asarray(out[..., harmonic])
+        near = slice(max(SEPARATE, h - half), h + half + 1)
+        out[:, h] = 0.0
+        out[near, h] = 1.0 / len(out[near])
+    return out
