@@ -206,6 +206,13 @@ _OF_CERTIFICATES = [
 ]
 
 
+@cache
+def _in_german(message: str) -> str | None:
+    from dtwin.report.language import _german_of
+
+    return _german_of(message, str)
+
+
 @pytest.fixture(autouse=True)
 def _german(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """What dtwin finds in a test of a kind of campaign that has a certificate, or what a twin lacks, can be said in German."""
@@ -214,7 +221,6 @@ def _german(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> 
         yield
         return
     from dtwin.physics.diagnosis import Diagnosis
-    from dtwin.report.language import _german_of
 
     told: set[str] = set()
     if folder == "physics":
@@ -238,4 +244,4 @@ def _german(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> 
 
     monkeypatch.setattr(Finding, "__init__", tell)
     yield
-    assert [message for message in told if _german_of(message, str) is None] == []
+    assert [message for message in told if _in_german(message) is None] == []

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import re
 import tomllib
+from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cache, cached_property
+from heapq import merge
 from importlib.resources import files
 
 from dtwin.errors import InputError
@@ -22,11 +24,23 @@ _WORDS: Mapping[str, str] = _CERTIFICATE["words"] | _TWINS["words"]
 _TITLES: Mapping[str, str] = _TWINS["titles"]
 """What stands alone."""
 _EXACT = {clause: german for clause, german in _CLAUSES.items() if "{}" not in clause}
-# What is said in more words comes first: ``{} ({} %)`` would be the end of a longer clause.
-_PIECES = sorted(
-    ((clause.split("{}"), german) for clause, german in _CLAUSES.items() if "{}" in clause),
-    key=lambda pair: -sum(map(len, pair[0])),
-)
+_Clause = tuple[int, list[str], str]
+
+
+def _by_ends(clauses: Mapping[str, str]) -> Mapping[tuple[str, str], list[_Clause]]:
+    """Return clauses with names in them by their first and their last two letters, none where there are fewer.
+
+    What is said in more words comes first: ``{} ({} %)`` would be the end of a longer clause.
+    """
+    parted = [(clause.split("{}"), german) for clause, german in clauses.items() if "{}" in clause]
+    found = defaultdict[tuple[str, str], list[_Clause]](list)
+    for n, (pieces, german) in enumerate(sorted(parted, key=lambda pair: -sum(map(len, pair[0])))):
+        first, last = pieces[0], pieces[-1]
+        found[first[:2] if first[1:] else "", last[-2:] if last[1:] else ""].append((n, pieces, german))
+    return found
+
+
+_PIECES = _by_ends(_CLAUSES)
 # A longer text is no finding of dtwin's. Names that stand for ``{}`` have no more blanks than these.
 _LONGEST, _MOST_SPACES = 1500, 2
 _WORD = re.compile("[A-Za-z]{3}")
@@ -59,7 +73,8 @@ def _german_of(text: str, tell: Callable[[object], str]) -> str | None:
         who = _titled(named) if colon else None
         if who is not None and (said := clause(rest)) is not None:
             return f"{who}: {said}"
-        for pieces, german in _PIECES:
+        ends = {(first, last) for first in (part[:2], "") for last in (part[-2:], "")}
+        for _, pieces, german in merge(*(_PIECES.get(key, ()) for key in ends)):
             if (between := _between(pieces, part)) is not None:
                 words = [_worded(word) or clause(word) or _name(word, tell) for word in between]
                 if None not in words:
