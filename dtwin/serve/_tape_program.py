@@ -7,9 +7,10 @@ the same bits: the order with few changes of operator is the fast one.
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Sequence
+from collections import Counter, defaultdict
+from collections.abc import Sequence, Set
 from dataclasses import dataclass
+from functools import cached_property
 
 from dtwin.serve.graph import OPERATORS, Graph, Node
 
@@ -34,7 +35,7 @@ class Instruction:
     reads: frozenset[int]
     also: int | None = None
 
-    @property
+    @cached_property
     def writes(self) -> frozenset[int]:
         """Places that have their values afterwards."""
         return frozenset((self.target,) if self.also is None else (self.target, self.also))
@@ -48,10 +49,14 @@ def tape_runs(graph: Graph, slots: Sequence[int], tables: Sequence[int]) -> list
     waiting = _instructions(graph, slots, tables)
     runs: list[tuple[int, list[Instruction]]] = []
     while waiting:
+        missing = {place for one in waiting for place in one.writes}
+        of_op: defaultdict[int, list[Instruction]] = defaultdict(list)
+        for one in waiting:
+            of_op[one.op].append(one)
         # An instruction may follow the one that it needs within the same run.
         op, done = max(
-            ((op, _ready(waiting, op)) for op in {one.op for one in waiting}),
-            key=lambda run: (len(run[1]) / _count(waiting, run[0]), len(run[1]), -run[0]),
+            ((op, _ready(same, missing)) for op, same in of_op.items()),
+            key=lambda run: (len(run[1]) / len(of_op[run[0]]), len(run[1]), -run[0]),
         )
         runs.append((op, done))
         taken = {one.target for one in done}
@@ -59,19 +64,18 @@ def tape_runs(graph: Graph, slots: Sequence[int], tables: Sequence[int]) -> list
     return runs
 
 
-def _ready(waiting: Sequence[Instruction], op: int) -> list[Instruction]:
-    """Return the instructions of an operator that can be done one after the other now."""
-    missing = {place for one in waiting for place in one.writes}
-    done = []
-    for one in waiting:
-        if one.op == op and missing.isdisjoint(one.reads):
+def _ready(same: Sequence[Instruction], missing: Set[int]) -> list[Instruction]:
+    """Return the instructions of one operator that can be done one after the other now.
+
+    ``missing``: places whose values are not there yet.
+    """
+    done: list[Instruction] = []
+    made: set[int] = set()
+    for one in same:
+        if missing.isdisjoint(one.reads - made):
             done.append(one)
-            missing -= one.writes
+            made |= one.writes
     return done
-
-
-def _count(waiting: Sequence[Instruction], op: int) -> int:
-    return sum(one.op == op for one in waiting)
 
 
 def _instructions(graph: Graph, slots: Sequence[int], tables: Sequence[int]) -> list[Instruction]:
