@@ -80,6 +80,7 @@ class _Search:
         spans: Sequence[NDArray[np.int64]],
     ) -> None:
         self._name, self._motion, self._bodies, self._hour, self._spans = name, motion, bodies, hour, spans
+        self._kept = [np.delete(np.arange(len(motion)), span) for span in spans]
         self._courses = {f"{TIME_ALONE} {n}": course for n, course in enumerate(courses(hour))}
         self._expected: dict[tuple[frozenset[str], bool], Floats] = {}
         self._models: dict[frozenset[str], ThermalModel] = {}
@@ -134,30 +135,30 @@ class _Search:
         """Return what temperatures of these bodies, with courses of time or without, say of each span, (n,); they are chosen without it."""
         if (bodies, timed) not in self._expected:
             columns = {**self._columns(bodies), **(self._courses if timed else {})}
-            out = np.zeros(len(self._motion))
-            for span in self._spans:
-                model = self._chosen(np.delete(np.arange(len(out)), span), columns)
-                out[span] = model.run(_beside([columns[sensor] for sensor in model.sensors], len(out))[span])
+            names, rise, out = list(columns), _beside(columns, len(self._motion)), np.zeros(len(self._motion))
+            for span, kept in zip(self._spans, self._kept, strict=True):
+                model = self._chosen(kept, names, rise)
+                out[span] = model.run(rise[span][:, [names.index(sensor) for sensor in model.sensors]])
             self._expected[bodies, timed] = out
         return self._expected[bodies, timed]
 
     def left_out(self) -> Floats:
         """Return what is said of each span when it had no part in the choice of bodies either, (n,)."""
         out = np.zeros(len(self._motion))
-        for span in self._spans:
-            kept = np.delete(np.arange(len(out)), span)
+        for span, kept in zip(self._spans, self._kept, strict=True):
             bodies = {body: {name: rise[kept] for name, rise in own.items()} for body, own in self._bodies.items()}
             spans = np.array_split(np.arange(len(kept)), len(self._spans))
             search = _Search(self._name, self._motion[kept], bodies, self._hour[kept], spans)
             model = search.model(frozenset(search.found()[1]))
             columns = self._columns(frozenset(self._bodies))
-            out[span] = model.run(_beside([columns[sensor] for sensor in model.sensors], len(out))[span])
+            out[span] = model.run(_beside({sensor: columns[sensor] for sensor in model.sensors}, len(out))[span])
         return out
 
     def model(self, bodies: frozenset[str]) -> ThermalModel:
         """Return the model of all hours."""
         if bodies not in self._models:
-            self._models[bodies] = self._chosen(np.arange(len(self._motion)), self._columns(bodies))
+            columns, n = self._columns(bodies), len(self._motion)
+            self._models[bodies] = self._chosen(np.arange(n), list(columns), _beside(columns, n))
         return self._models[bodies]
 
     def used(self, bodies: frozenset[str]) -> tuple[str, ...]:
@@ -168,16 +169,15 @@ class _Search:
     def _columns(self, bodies: frozenset[str]) -> dict[str, Floats]:
         return {name: rise for body, own in self._bodies.items() if body in bodies for name, rise in own.items()}
 
-    def _chosen(self, cycles: NDArray[np.int64], columns: Mapping[str, Floats]) -> ThermalModel:
-        if not columns:
+    def _chosen(self, cycles: NDArray[np.int64], names: Sequence[str], rise: Floats) -> ThermalModel:
+        if not names:
             return ThermalModel(self._name, (), np.zeros(0), 0.0, float("nan"))
-        rise = _beside(list(columns.values()), len(self._motion))
-        return fit_thermal(self._name, self._motion[cycles], rise[cycles], list(columns), static=True)
+        return fit_thermal(self._name, self._motion[cycles], rise[cycles], names, static=True)
 
 
-def _beside(columns: Sequence[Floats], n: int) -> Floats:
-    """Return columns (n,) beside each other, also none of them."""
-    return np.column_stack([np.zeros((n, 0)), *columns])
+def _beside(columns: Mapping[str, Floats], n: int) -> Floats:
+    """Return columns (n,) beside each other, shape (n, columns), also none of them."""
+    return np.array([*columns.values()], dtype=np.float64).reshape(-1, n).T
 
 
 def _first(left: Mapping[str, Floats]) -> str:
