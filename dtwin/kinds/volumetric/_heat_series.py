@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from hashlib import blake2b
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +15,9 @@ from dtwin.kinds.volumetric._drivers import Drivers, drivers_of
 from dtwin.schema import Floats
 
 _SPANS = 5
+# What drives motions of some campaigns, by all that it follows from: every command about a twin asks for the same.
+_MOST_KEPT = 300
+_kept: dict[bytes, Drivers] = {}
 FEWEST_CYCLES = 19
 """For temperatures to be chosen twice with hours left out."""
 _NUMBERED = re.compile(r"_?\d*_c$")
@@ -71,7 +75,6 @@ class HeatSeries:
     rise_c: Mapping[str, Floats]
     begun_c: Mapping[str, float]
     thermocouples: tuple[str, ...]
-    _fits: dict[tuple[bytes, tuple[str, ...]], Drivers] = field(default_factory=dict, repr=False, compare=False)
 
     @property
     def offered(self) -> tuple[str, ...]:
@@ -122,12 +125,20 @@ class HeatSeries:
 
         ``sources``: bodies, or temperatures by name. What a user names is not doubted.
         """
-        names = tuple(dict.fromkeys(name for source in sources for name in self.bodies.get(source, (source,))))
-        key = (name.encode() + motion.tobytes(), names)
-        if key not in self._fits:
-            self.rises(names)
+        asked = tuple(dict.fromkeys(name for source in sources for name in self.bodies.get(source, (source,))))
+        self.rises(asked)
+        names = asked or self.thermocouples
+        content = blake2b(repr((name, names, bool(sources))).encode())
+        for column in (motion, self.hour, *(self.rise_c[one] for one in names)):
+            content.update(column.tobytes())
+        key = content.digest()
+        found = _kept.get(key)
+        if found is None:
             rises: dict[str, dict[str, Floats]] = {}
-            for one in names or self.thermocouples:
+            for one in names:
                 rises.setdefault(body_of(one), {})[one] = self.rise_c[one]
-            self._fits[key] = drivers_of(name, motion, rises, self.hour, self.spans(), named=bool(sources))
-        return self._fits[key]
+            found = drivers_of(name, motion, rises, self.hour, self.spans(), named=bool(sources))
+            if len(_kept) >= _MOST_KEPT:
+                _kept.pop(next(iter(_kept)), None)
+            _kept[key] = found
+        return found

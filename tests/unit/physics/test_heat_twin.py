@@ -113,7 +113,7 @@ def test_a_motion_of_the_twin_that_lacks_a_temperature_gets_it() -> None:
 def test_thermocouples_that_differ_by_number_alone_are_told_by_name() -> None:
     made = series({"EXX1": 2.0 * BED})
     named = dict(zip((f"t{n}_c" for n in range(1, 5)), (made.rise_c[name] for name in made.thermocouples), strict=True))
-    said = found(replace(made, rise_c=named, begun_c=dict.fromkeys(named, 20.0), thermocouples=tuple(named), _fits={}))
+    said = found(replace(made, rise_c=named, begun_c=dict.fromkeys(named, 20.0), thermocouples=tuple(named)))
     text = diagnosis_text("t", said.as_dict())
     assert "t1_c to t4_c are of one body by their names" in text
     assert {"t1_c", "t2_c"} & set(text.split())
@@ -126,7 +126,6 @@ def with_room(made: HeatSeries, room: np.ndarray) -> HeatSeries:
         rise_c={**made.rise_c, "room_01_c": room},
         begun_c={**made.begun_c, "room_01_c": 20.0},
         thermocouples=(*made.thermocouples, "room_01_c"),
-        _fits={},
     )
 
 
