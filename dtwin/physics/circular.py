@@ -116,7 +116,12 @@ def fit_common_circle(arcs: Sequence[tuple[Floats, Floats]], radius_mm: float) -
     def residual(p: Floats) -> Floats:
         return np.asarray(root * (np.hypot(a_um - p[0], b_um - p[1]) - (radius_mm * 1000.0 + p[2])))
 
-    solved = scipy.optimize.least_squares(residual, start, x_scale=10.0, method="lm").x
+    def slopes(p: Floats) -> Floats:
+        from_a, from_b = p[0] - a_um, p[1] - b_um
+        away = np.maximum(np.hypot(from_a, from_b), 1e-300)
+        return np.stack([root * from_a / away, root * from_b / away, -root], axis=1)
+
+    solved = scipy.optimize.least_squares(residual, start, slopes, x_scale=10.0, method="lm").x
     return Circle(
         centre_a_um=float(solved[0]),
         centre_b_um=float(solved[1]),

@@ -7,7 +7,8 @@ import importlib.util
 import pkgutil
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from importlib.metadata import entry_points
+from functools import cache
+from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from types import ModuleType
 
@@ -20,6 +21,12 @@ from dtwin.schema import require_name
 
 ENTRY_POINTS = "dtwin.effects"
 _N_JOINTS = 6
+
+
+@cache
+def _of_others() -> tuple[EntryPoint, ...]:
+    """Return effects of other packages; to look through all of them takes four times as long as all else that a library does."""
+    return tuple(entry_points(group=ENTRY_POINTS))
 
 
 class Library(Mapping[str, Effect]):
@@ -36,7 +43,7 @@ class Library(Mapping[str, Effect]):
         self._effects: dict[str, Effect] = {}
         for module in pkgutil.iter_modules(effects.__path__):
             self._add(_effect_of(importlib.import_module(f"{effects.__name__}.{module.name}")))
-        for entry in entry_points(group=ENTRY_POINTS):
+        for entry in _of_others():
             self._add(_as_effect(entry.load(), entry.value))
         for path in paths:
             for file in sorted(path.glob("*.py")) if path.is_dir() else [path]:

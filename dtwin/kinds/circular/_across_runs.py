@@ -72,16 +72,17 @@ def across_findings(runs: Sequence[Run]) -> list[Finding]:
     spoilt = _spoilt_readings(whole)
     found = [finding] if (finding := _spoilt_finding(spoilt)) is not None else []
     names = {s.run for s in spoilt}
-    differing = _differing_finding([run for run in whole if run.meta.run_id not in names])
-    return [*found, *([] if differing is None else [differing]), *_of_another_unit(whole)]
+    binned = [(run, _binned(run)) for run in whole]
+    differing = _differing_finding([one for one in binned if one[0].meta.run_id not in names])
+    return [*found, *([] if differing is None else [differing]), *_of_another_unit(binned)]
 
 
-def _of_another_unit(runs: Sequence[Run]) -> Iterator[Finding]:
+def _of_another_unit(runs: Sequence[tuple[Run, Floats]]) -> Iterator[Finding]:
     """Yield a finding for each condition whose largest and smallest circle have one shape, and sizes that are a unit apart."""
     of_condition: dict[tuple[object, ...], list[tuple[str, Floats]]] = {}
-    for run in runs:
+    for run, curve in runs:
         m = run.meta
-        of_condition.setdefault((m.plane, m.radius_mm, m.feed_mm_min), []).append((m.run_id, _binned(run)))
+        of_condition.setdefault((m.plane, m.radius_mm, m.feed_mm_min), []).append((m.run_id, curve))
     for members in of_condition.values():
         curves = np.stack([curve for _, curve in members])
         curves = curves[:, np.isfinite(curves).all(axis=0)]
@@ -208,16 +209,16 @@ def _spoilt_finding(spoilt: Sequence[_Spoilt]) -> Finding | None:
     )
 
 
-def _differing_finding(runs: Sequence[Run]) -> Finding | None:
+def _differing_finding(runs: Sequence[tuple[Run, Floats]]) -> Finding | None:
     """Return that repeats differ by many times what readings of one run scatter by, None where they do not.
 
     Both are robust: spikes of reversals, which come a little later or higher each time, do not count.
     """
     of_condition: dict[tuple[object, ...], list[Floats]] = {}
     within = []
-    for run in runs:
+    for run, curve in runs:
         m = run.meta
-        of_condition.setdefault((m.plane, m.radius_mm, m.feed_mm_min, m.direction), []).append(_binned(run))
+        of_condition.setdefault((m.plane, m.radius_mm, m.feed_mm_min, m.direction), []).append(curve)
         within.append(_scatter_um(run.arc[1]))
     off = list(_off_their_mean(of_condition))
     if not off:

@@ -40,12 +40,13 @@ def registered(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[None
     monkeypatch.syspath_prepend(str(Path(__file__).parents[2]))
     for module in (registry, library):
         monkeypatch.setattr(module, "entry_points", lambda group: POINTS.get(group, []))
-    registry._of_others.cache_clear()
+        module._of_others.cache_clear()
     registry.kind_named.cache_clear()
     monkeypatch.setenv("DTWIN_HOME", str(tmp_path / "home"))
     monkeypatch.chdir(tmp_path)
     yield
-    registry._of_others.cache_clear()
+    for module in (registry, library):
+        module._of_others.cache_clear()
     registry.kind_named.cache_clear()
 
 
