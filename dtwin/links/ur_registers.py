@@ -54,6 +54,7 @@ SAFETY_MODES: dict[float, int] = {layout.SAFE: 1, layout.PROTECTIVE_STOP: 3, lay
 
 _PLAYING = 2
 _PAUSING_PAUSED_RESUMING = (3, 4, 5)
+_NORMAL_OR_REDUCED_BITS = 0b11
 _STOPPED_BITS = 0b1111_1111_1100
 _EMERGENCY_BITS = 0b0011_1110_0000
 
@@ -68,9 +69,9 @@ def runtime_running(runtime_state: int) -> float:
 def safety_ok(status_bits: int) -> float:
     """Return what ``safety_status_bits`` mean: SAFE, PROTECTIVE_STOP or EMERGENCY.
 
-    Recovery mode and safeguard stop count as protective stops; emergency stops of robot or
-    system, violations and faults as emergencies.
+    Recovery mode and safeguard stop count as protective stops, and so does a controller that says of
+    no mode that it is in it; emergency stops of robot or system, violations and faults as emergencies.
     """
-    if not status_bits & _STOPPED_BITS:
+    if status_bits & _NORMAL_OR_REDUCED_BITS and not status_bits & _STOPPED_BITS:
         return layout.SAFE
     return layout.EMERGENCY if status_bits & _EMERGENCY_BITS else layout.PROTECTIVE_STOP

@@ -20,6 +20,7 @@ import struct
 import sys
 import time
 from io import BufferedIOBase
+from itertools import zip_longest
 from typing import Any
 
 import numpy as np
@@ -39,23 +40,19 @@ _REQUEST_VERSION, _SETUP_OUTPUTS, _TEXT_MESSAGE = 86, 79, 77
 # What ur_rtde says when the controller answers IN_USE to an input recipe.
 _OWNED = "already in use"
 
-_VARIABLES = [
-    "timestamp",
-    "target_q",
-    "target_qd",
-    "actual_q",
-    "actual_qd",
-    "target_TCP_pose",
-    "actual_TCP_pose",
-    "target_TCP_speed",
-    "speed_scaling",
-    "target_speed_fraction",
-    "runtime_state",
-    "safety_status_bits",
-    f"output_int_register_{registers.OUTPUT_FEED}",
-    *(f"output_int_register_{number}" for number in registers.OUTPUT_INTS),
-    *(f"output_double_register_{number}" for number in registers.OUTPUT_DOUBLES),
-]
+_VARIABLES = {
+    "timestamp": "DOUBLE",
+    **dict.fromkeys(("target_q", "target_qd", "actual_q", "actual_qd"), "VECTOR6D"),
+    **dict.fromkeys(("target_TCP_pose", "actual_TCP_pose", "target_TCP_speed"), "VECTOR6D"),
+    "speed_scaling": "DOUBLE",
+    "target_speed_fraction": "DOUBLE",
+    "runtime_state": "UINT32",
+    "safety_status_bits": "UINT32",
+    f"output_int_register_{registers.OUTPUT_FEED}": "INT32",
+    **{f"output_int_register_{number}": "INT32" for number in registers.OUTPUT_INTS},
+    **{f"output_double_register_{number}": "DOUBLE" for number in registers.OUTPUT_DOUBLES},
+}
+"""What is asked for, and the type of each: ``ur_rtde`` reads packets by these, whatever the controller answers."""
 
 
 class _Fault(Exception):
@@ -116,10 +113,11 @@ def _require_rtde(host: str, frequency_hz: float) -> None:
             raise _Fault("ur.protocol", f"the controller does not speak version {_VERSION} of RTDE")
         recipe = struct.pack(">d", frequency_hz) + ",".join(_VARIABLES).encode()
         kinds = _asked(stream, _SETUP_OUTPUTS, recipe)[1:].decode("ascii", "replace").split(",")
-        known = [kind not in ("", "NOT_FOUND") for kind in kinds] + [False] * len(_VARIABLES)
-        absent = [name for name, there in zip(_VARIABLES, known, strict=False) if not there]
-        if absent:
+        sent = dict(zip_longest(_VARIABLES, kinds[: len(_VARIABLES)], fillvalue=""))
+        if absent := [name for name, kind in sent.items() if kind in ("", "NOT_FOUND")]:
             raise _Fault("ur.variables", f"the controller does not send {', '.join(absent)}")
+        if other := [f"{name} as {kind[:20]}" for name, kind in sent.items() if kind != _VARIABLES[name]]:
+            raise _Fault("ur.variables", f"the controller sends other types than RTDE has: {', '.join(other)}")
 
 
 def _asked(stream: BufferedIOBase, kind: int, payload: bytes) -> bytes:
@@ -131,11 +129,12 @@ def _asked(stream: BufferedIOBase, kind: int, payload: bytes) -> bytes:
         if len(head) < _HEADER.size:
             raise OSError("it closed the connection")
         size, answered = _HEADER.unpack(head)
+        # Before the rest is waited for: what is no RTDE may be silent after its first words.
+        if answered not in (kind, _TEXT_MESSAGE):
+            raise _Fault("ur.protocol", "what answers is no RTDE")
         answer = stream.read(max(size - _HEADER.size, 0))
         if answered == kind:
             return answer
-        if answered != _TEXT_MESSAGE:
-            raise _Fault("ur.protocol", "what answers is no RTDE")
 
 
 class _Worker:
@@ -169,7 +168,7 @@ class _Worker:
         except OSError as error:
             raise _Fault("ur.absent", f"no robot controller answers ({error})") from error
         try:
-            self._receive = RTDEReceiveInterface(self._host, self._frequency_hz, _VARIABLES)
+            self._receive = RTDEReceiveInterface(self._host, self._frequency_hz, list(_VARIABLES))
             if self._writes:
                 self._io = RTDEIOInterface(self._host)
         except (RuntimeError, ValueError) as error:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import socket
+import struct
 import subprocess
 import sys
 import threading
@@ -21,7 +22,8 @@ from dtwin.errors import EXIT_DEVICE, DeviceError, InputError
 from dtwin.links import state as layout
 from dtwin.links._ur_memory import SharedMemory
 from dtwin.links.ur import UrLink
-from dtwin.links.ur_worker import _Fault, _Worker
+from dtwin.links.ur_registers import safety_ok
+from dtwin.links.ur_worker import _VARIABLES, _Fault, _Worker
 
 pytestmark = pytest.mark.system
 
@@ -171,11 +173,17 @@ def test_something_that_never_answers_is_reported_in_time() -> None:
         assert caught.value.code == "ur.absent"
 
 
+def _frame_of_types(**other: str) -> bytes:
+    payload = b"\x01" + ",".join((_VARIABLES | other).values()).encode()
+    return struct.pack(">HB", 3 + len(payload), 79) + payload
+
+
 @pytest.mark.parametrize(
     ("answers", "code", "said"),
     [
         ([b"\x00\x06Mold\x00\x04V\x00"], "ur.protocol", "version 2 of RTDE"),
         ([b"\x00\x04V\x01", b"\x00\x1aO\x01DOUBLE,NOT_FOUND,INT32"], "ur.variables", "send target_q, actual_q,"),
+        ([b"\x00\x04V\x01", _frame_of_types(timestamp="INT32")], "ur.variables", "timestamp as INT32"),
         ([b"HTTP/1.1 400 Bad Request\r\n"], "ur.protocol", "no RTDE"),
         ([b""], "ur.absent", "closed the connection"),
     ],
@@ -189,6 +197,9 @@ def test_a_controller_that_is_too_old_is_told(answers: list[bytes], code: str, s
             for one in answers:
                 client.recv(4096)
                 client.sendall(one)
+            if answers[-1]:
+                # It does not hang up: what it said is enough to know what it is.
+                client.recv(4096)
 
     with socket.create_server((address, 30004)) as listener:
         server = threading.Thread(target=answer, args=(listener,))
@@ -300,6 +311,11 @@ def check_slow_scaled_and_stopped(robot: VirtualRobot, link: UrLink) -> None:
     robot.do("protective_stop")
     state = until(link, lambda s: s[layout.SAFETY_OK] == 0.0)
     assert state[layout.RUNTIME_RUNNING] == 0.0
+
+
+def test_safety_bits_of_no_mode_are_not_safe() -> None:
+    assert [safety_ok(bits) for bits in (0b1, 0b10, 0)] == [layout.SAFE, layout.SAFE, layout.PROTECTIVE_STOP]
+    assert [safety_ok(1 | 1 << bit) for bit in range(2, 11)].count(layout.SAFE) == 0
 
 
 def test_bad_corrections_never_leave_the_host(link: UrLink) -> None:
