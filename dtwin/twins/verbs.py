@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import sys
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from datetime import datetime, timedelta
 from functools import cached_property
-from typing import Any
+from typing import IO, Any
 
 from dtwin.acquire.campaign_name import in_lake
 from dtwin.config import Home
@@ -145,9 +147,7 @@ class Twins(TwinShelf):
         check_sums = [made_from(path, one, self.library, seed) for one in loaded]
         # Another process may be at it, as the one in the background; two would take twice as long. One that hangs is not waited for.
         with path.open() as version:
-            until = time.monotonic() + _PATIENCE_S
-            while not take(version) and time.monotonic() < until:
-                time.sleep(_LOOK_EVERY_S)
+            _wait_for(version, f"twin {name} version {twin.version}")
             if isinstance(twin, SeveralTwin):
                 together = made_from_several(check_sums, twin.contradictions)
                 alone = kept_alone(path, check_sums)
@@ -308,6 +308,22 @@ class Twins(TwinShelf):
             twin = twin_of(fitted, one.obs, name=name, version=version, action=action, data=one.data)
         self.store(twin.as_dict(), ahead=ahead and is_built_in(self.library))
         return with_record(self.home, twin)
+
+
+def _wait_for(version: IO[Any], said: str) -> None:
+    """Lock the file of a version; while another process has it, say so and wait, for as long as one is waited for."""
+    if take(version):
+        return
+    began, until = datetime.now().astimezone(), time.monotonic() + _PATIENCE_S
+    last = began + timedelta(seconds=_PATIENCE_S)
+    print(
+        f"{began:%H:%M:%S}: {said} is being diagnosed by another process, as the one in the background after a fit; its answer is "
+        f"waited for, until {last:%H:%M:%S} at the latest. Ctrl-C ends the waiting, nothing else",
+        file=sys.stderr,
+        flush=True,
+    )
+    while not take(version) and time.monotonic() < until:
+        time.sleep(_LOOK_EVERY_S)
 
 
 _Addition = tuple[tuple[str, ...], str, str, Mapping[str, float]]

@@ -219,7 +219,9 @@ def test_mlflow_follows_in_the_background_and_in_order(twins: Twins, monkeypatch
     assert told == {n for n in (1, 2, 3) if diagnosis_path(twins.newest_document("fast", n)[1]).exists()}
 
 
-def test_a_diagnosis_is_read_again_until_something_changes(twins: Twins, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_diagnosis_is_read_again_until_something_changes(
+    twins: Twins, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     twins.fit("mill-march", ["centre_offset"], "kept")
     _, first = twins.diagnose("kept")
     path = twins.newest_document("kept")[1]
@@ -253,6 +255,7 @@ def test_a_diagnosis_is_read_again_until_something_changes(twins: Twins, monkeyp
         assert take(held)
         twins.diagnose("kept", seed=2)
     assert asked[-1] == 2
+    assert "twin kept version 1 is being diagnosed by another process" in capsys.readouterr().err
 
 
 def test_discover_goes_down_to_the_floor_and_remove_goes_back(twins: Twins) -> None:
