@@ -13,6 +13,7 @@ import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from contextlib import contextmanager, suppress
+from contextvars import copy_context
 from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
@@ -95,8 +96,11 @@ def end_with(parent: int) -> None:
 
 def interruptible(call: Callable[[], _Returned]) -> _Returned:
     """Return what a call returns; Ctrl-C does not wait for the end of one that waits outside of Python."""
-    if threading.current_thread() is not threading.main_thread():
-        return call()
+    return call() if threading.current_thread() is not threading.main_thread() else within(None, call)
+
+
+def within(patience_s: float | None, call: Callable[[], _Returned]) -> _Returned:
+    """Return what a call returns, in a thread of its own; raises ``TimeoutError`` when it takes longer, which it may go on to do."""
     done: Future[_Returned] = Future()
 
     def work() -> None:
@@ -105,8 +109,8 @@ def interruptible(call: Callable[[], _Returned]) -> _Returned:
         except BaseException as error:
             done.set_exception(error)
 
-    threading.Thread(target=work, daemon=True).start()
-    return done.result()
+    threading.Thread(target=copy_context().run, args=(work,), daemon=True).start()
+    return done.result(patience_s)
 
 
 def processors() -> int:

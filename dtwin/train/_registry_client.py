@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import logging
 import os
 import sqlite3
 from collections.abc import Callable
 from contextlib import closing, nullcontext
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar, cast
 
 from mlflow import MlflowClient
 from mlflow.exceptions import MlflowException
@@ -22,10 +23,13 @@ from dtwin.config import Home
 from dtwin.errors import StoreError
 from dtwin.home_file import brought_here
 from dtwin.locks import locked
+from dtwin.processes import within
 
 _CONNECT_S = 10
 # A server that is under load answers late.
 _ANSWER_S = 30
+# One call is at most some requests, or a file that is sent or fetched.
+_CALL_S, _LONGEST_ANSWER = 300, 1_000_000
 _Found = TypeVar("_Found")
 
 
@@ -62,6 +66,8 @@ def client_of(home: Home, *, reads: bool = False) -> MlflowClient:
     if uri.startswith("postgresql"):
         _require_answer(uri)
     elif uri.startswith("http"):
+        # What is logged goes where its user said, and nowhere else.
+        os.environ.setdefault("MLFLOW_ALLOW_HTTP_REDIRECTS", "false")
         _require_server(uri)
     # The first client of an empty database makes its tables; two at once would both make them.
     alone = uri.startswith(("sqlite", "postgresql")) and not only_reads
@@ -70,7 +76,8 @@ def client_of(home: Home, *, reads: bool = False) -> MlflowClient:
             _make_tables(database)
         if alone and database == home.root / "mlflow" / "mlflow.db" and isinstance(home.mlflow_artifacts, Path):
             brought_here(database, home.mlflow_artifacts)
-        return MlflowClient(tracking_uri=uri, registry_uri=uri)
+        client = MlflowClient(tracking_uri=uri, registry_uri=uri)
+        return cast(MlflowClient, _InTime(client, uri)) if uri.startswith("http") else client
 
 
 def _make_tables(database: Path) -> None:
@@ -133,30 +140,68 @@ def _require_answer(uri: str) -> None:
 def _require_server(uri: str) -> None:
     """Ask a server for one model: MLflow would try again for minutes, and another server's answer end in a traceback."""
     try:
-        answer = http_request(  # type: ignore[no-untyped-call]
-            get_default_host_creds(uri),  # type: ignore[no-untyped-call]
-            "/api/2.0/mlflow/registered-models/search",
-            "GET",
-            params={"max_results": 1},
-            max_retries=0,
-            timeout=_ANSWER_S,
-            raise_on_status=False,
-        )
-        got = "" if answer.status_code == 200 else f"HTTP {answer.status_code}"
-        if not got and not isinstance(answer.json(), dict):
-            got = "an answer that is not MLflow's"
+        got = within(_ANSWER_S, lambda: _said_by(uri))
+    except TimeoutError:
+        got = f"no whole answer within {_ANSWER_S} s"
     except ValueError:
         got = "an answer that is not MLflow's"
     except (MlflowException, OSError) as error:
         got = str(error).split("\n")[0].rpartition("with exception ")[2]
     if got:
-        raise StoreError(
-            "the model registry does not answer",
-            code="registry.away",
-            where=uri.rpartition("@")[2],
-            got=got[:200],
-            hint="its address (MLFLOW_TRACKING_URI, or registry in `home.toml`), and whether it runs; run this again when it is back",
-        )
+        raise _away(uri, got)
+
+
+def _said_by(uri: str) -> str:
+    """Return what is wrong with the answer of a server; empty when it is MLflow's."""
+    answer = http_request(  # type: ignore[no-untyped-call]
+        get_default_host_creds(uri),  # type: ignore[no-untyped-call]
+        "/api/2.0/mlflow/registered-models/search",
+        "GET",
+        params={"max_results": 1},
+        max_retries=0,
+        timeout=_ANSWER_S,
+        raise_on_status=False,
+        allow_redirects=False,
+        stream=True,
+    )
+    with answer:
+        if answer.status_code != 200:
+            to = answer.headers.get("Location", "")
+            return f"HTTP {answer.status_code}" + (f", it sends to {to}" if to else "")
+        text = b""
+        for part in answer.iter_content(65536):
+            text += part
+            if len(text) > _LONGEST_ANSWER:
+                return f"an answer of more than {_LONGEST_ANSWER} bytes"
+    return "" if isinstance(json.loads(text), dict) else "an answer that is not MLflow's"
+
+
+def _away(uri: str, got: str) -> StoreError:
+    return StoreError(
+        "the model registry does not answer",
+        code="registry.away",
+        where=uri.rpartition("@")[2],
+        got=got[:200],
+        hint="its address (MLFLOW_TRACKING_URI, or registry in `home.toml`), and whether it runs; run this again when it is back",
+    )
+
+
+class _InTime:
+    """A client whose every call ends within a time: MLflow waits for each byte anew, and a line that is nearly dead sends one now and then."""
+
+    def __init__(self, client: MlflowClient, uri: str) -> None:
+        self._client, self._uri = client, uri
+
+    def __getattr__(self, name: str) -> Any:
+        call = getattr(self._client, name)
+
+        def in_time(*given: Any, **named: Any) -> Any:
+            try:
+                return within(_CALL_S, lambda: call(*given, **named))
+            except TimeoutError as error:
+                raise _away(self._uri, f"{name.replace('_', ' ')} did not end within {_CALL_S} s") from error
+
+        return in_time if callable(call) else call
 
 
 def every(search: Callable[..., PagedList[_Found]], wanted: str) -> list[_Found]:

@@ -6,8 +6,10 @@ import os
 import shutil
 import socket
 import subprocess
+from contextlib import suppress
 from pathlib import Path
 from threading import Thread
+from time import sleep
 from typing import cast
 
 import pytest
@@ -125,8 +127,45 @@ def test_a_home_that_is_opened_by_a_link_keeps_the_names_of_its_files(tmp_path: 
     assert found.info.artifact_uri == f"{home.mlflow_artifacts}/{run_id}/artifacts"
 
 
-@pytest.mark.parametrize("said", ["404 Not Found", "200 OK"])
-def test_a_server_that_is_no_registry_is_told_at_once(monkeypatch: pytest.MonkeyPatch, said: str) -> None:
+_LOGIN = b"Content-Length: 5\r\n\r\nlogin"
+
+
+@pytest.mark.parametrize(
+    ("status", "rest", "again", "got"),
+    [
+        ("404 Not Found", _LOGIN, b"", "HTTP 404"),
+        ("200 OK", _LOGIN, b"", "an answer that is not MLflow's"),
+        ("302 Found", b"Location: http://127.0.0.1:9/\r\n" + _LOGIN, b"", "HTTP 302, it sends to http://127.0.0.1:9/"),
+        ("200 OK", b"Content-Length: 999\r\n\r\n{", b" ", "no whole answer within 0.4 s"),
+        ("200 OK", b"X: ", b"y", "no whole answer within 0.4 s"),
+        ("200 OK", b"\r\n{", b" " * 500_000, "an answer of more than 1000000 bytes"),
+    ],
+    ids=["404", "login page", "redirect", "drips", "heads drip", "endless"],
+)
+def test_a_server_that_is_no_registry_is_told_at_once(
+    monkeypatch: pytest.MonkeyPatch, status: str, rest: bytes, again: bytes, got: str
+) -> None:
+    monkeypatch.setattr("dtwin.train._registry_client._ANSWER_S", 0.4 if len(again) == 1 else 30)
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        uri = f"http://127.0.0.1:{listening.getsockname()[1]}"
+        monkeypatch.setenv("MLFLOW_TRACKING_URI", uri)
+
+        def answer() -> None:
+            with listening.accept()[0] as asked, suppress(OSError):
+                asked.recv(65536)
+                asked.sendall(f"HTTP/1.1 {status}\r\n".encode() + rest)
+                while again:
+                    asked.sendall(again)
+                    sleep(0.01)
+
+        Thread(target=answer, daemon=True).start()
+        with pytest.raises(StoreError) as caught:
+            client_of(home())
+    assert (caught.value.code, caught.value.where, caught.value.got) == ("registry.away", uri, got)
+
+
+def test_a_registry_that_stops_in_the_middle_ends_what_waits_for_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("dtwin.train._registry_client._CALL_S", 0.2)
     with socket.create_server(("127.0.0.1", 0)) as listening:
         uri = f"http://127.0.0.1:{listening.getsockname()[1]}"
         monkeypatch.setenv("MLFLOW_TRACKING_URI", uri)
@@ -134,10 +173,13 @@ def test_a_server_that_is_no_registry_is_told_at_once(monkeypatch: pytest.Monkey
         def answer() -> None:
             with listening.accept()[0] as asked:
                 asked.recv(65536)
-                asked.sendall(f"HTTP/1.1 {said}\r\nContent-Length: 5\r\n\r\nlogin".encode())
+                asked.sendall(b"HTTP/1.1 200 OK\r\nContent-Length: 2\r\nConnection: close\r\n\r\n{}")
+            with listening.accept()[0] as asked, suppress(OSError):
+                while True:
+                    asked.sendall(b"H")
+                    sleep(0.01)
 
         Thread(target=answer, daemon=True).start()
-        with pytest.raises(StoreError) as caught:
-            client_of(home())
-    assert (caught.value.code, caught.value.where) == ("registry.away", uri)
-    assert caught.value.got in ("HTTP 404", "an answer that is not MLflow's")
+        with pytest.raises(StoreError, match="does not answer") as caught:
+            client_of(home()).search_registered_models()
+    assert caught.value.got == "search registered models did not end within 0.2 s"
