@@ -12,6 +12,8 @@ EXIT_COMMAND_LINE = 2
 EXIT_GATE = 3
 EXIT_DEVICE = 4
 EXIT_INTERRUPTED = 130
+NEWER = "where a newer dtwin wrote it: install that; else take out what is not known"
+"""What to try with a file that states what this version does not know."""
 # Of more names than these a terminal shows those that are most like what was given; JSON has all.
 _MOST_NAMES, _NEAREST = 60, 12
 # Of a longer place or value, such as a name of thousands of letters in a file, a terminal shows both ends.

@@ -15,7 +15,7 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from dtwin.atomic import read_toml
-from dtwin.errors import InputError
+from dtwin.errors import NEWER, InputError
 
 HOME_FILE = "home.toml"
 _MAX_BYTES = 10_000
@@ -107,7 +107,7 @@ def home_file_of(stated: Mapping[str, Any], where: str) -> HomeFile:
     known = [f.name for f in fields(HomeFile)]
     for key, value in stated.items():
         if key not in known:
-            raise _refused(where, str(key)[:40], ", ".join(known))
+            raise _refused(where, str(key)[:40], ", ".join(known), NEWER)
         if not isinstance(value, str) or not value or len(value) > 500:
             raise _refused(f"{where}: {key}", str(value)[:60], "text")
     settings = HomeFile(**stated)
@@ -146,8 +146,10 @@ def _require_address(where: str, address: str, schemes: tuple[str, ...]) -> None
         raise _refused(where, address, ", ".join(f"{scheme}://..." for scheme in schemes))
 
 
-def _refused(where: str, got: str, allowed: str) -> InputError:
-    return InputError("the settings of a home are not usable", code="home.file", where=where, got=got, allowed=allowed)
+def _refused(where: str, got: str, allowed: str, hint: str | None = None) -> InputError:
+    return InputError(
+        "the settings of a home are not usable", code="home.file", where=where, got=got, allowed=allowed, hint=hint
+    )
 
 
 PLACES = ("artifact_location", "artifact_uri", "source", "storage_location")

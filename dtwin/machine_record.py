@@ -11,7 +11,7 @@ from typing import Any
 
 from dtwin.atomic import make_folder, read_toml, write_toml
 from dtwin.config import Home
-from dtwin.errors import InputError
+from dtwin.errors import NEWER, InputError
 from dtwin.kinds.registry import kinds
 from dtwin.local_time import local_day, local_time
 from dtwin.locks import locked
@@ -98,7 +98,7 @@ def _record_from(machine: str, stated: Mapping[str, Any], where: str) -> Machine
     """
     unknown = sorted(set(stated) - set(_FIELDS))
     if unknown:
-        raise _refused(where, ", ".join(unknown)[:120], ", ".join(_FIELDS))
+        raise _refused(where, ", ".join(unknown)[:120], ", ".join(_FIELDS), NEWER)
     facts = {name: _text(stated[name], f"{where}: {name}") for name in FACTS if stated.get(name)}
     axes = {axis: _axis(known, f"{where}: axes.{axis}") for axis, known in _table(stated, "axes", where).items()}
     tolerances = limits_from(_table(stated, "tolerances", where), f"{where}: tolerances")
@@ -299,7 +299,7 @@ def _event(value: object, where: str) -> Event:
     return Event(day, value["what"], _text(value.get("note", ""), f"{where}: note"))
 
 
-def _refused(where: str, got: str, allowed: str) -> InputError:
+def _refused(where: str, got: str, allowed: str, hint: str | None = None) -> InputError:
     return InputError(
-        "the record of a machine is not usable", code="machine.record", where=where, got=got, allowed=allowed
+        "the record of a machine is not usable", code="machine.record", where=where, got=got, allowed=allowed, hint=hint
     )

@@ -86,7 +86,10 @@ def alarms_of(home: Home, machine: str, twins: Sequence[TwinLine]) -> str:
     ``twins``: the catalogue.
     """
     mine = [twin for twin in twins if twin.machine == machine]
-    made = kept_already(home, "histories", machine, _stamp(home, machine, mine, Library()))
+    try:
+        made = kept_already(home, "histories", machine, _stamp(home, machine, mine, Library()))
+    except InputError as error:
+        return error.message
     if made is None:
         return "not judged"
     states = Counter(series["state"] for series in made["series"])
@@ -214,9 +217,10 @@ def require_machine(home: Home, machine: str) -> None:
 def drop_machine(home: Home, machine: str) -> None:
     """Delete a machine that has only a record, as one whose name was mistyped.
 
-    Raises ``InputError`` when it is not known, or was measured, has a twin, or is corrected.
+    Raises ``InputError`` when it is not known, its record is not usable, or it was measured, has a twin, or is corrected.
     """
     require_machine(home, machine)
+    read_record(home, machine)
     (found,) = (one for one in machine_overviews(home) if one["machine"] == machine)
     if held := [*found["campaigns"], *found["twins"], *filter(None, [champion_of(home, machine)])]:
         raise InputError(
@@ -316,7 +320,11 @@ def _fitted(home: Home, campaign: str, twin: Twin) -> list[list[Any]]:
 def _overview(
     home: Home, machine: str, campaigns: Iterable[str], last_test: str, twins: Sequence[str]
 ) -> dict[str, Any]:
-    record = read_record(home, machine)
+    try:
+        record = read_record(home, machine)
+    except InputError:
+        # Its own page tells why; it must not hide the others.
+        record = None
     return {
         "machine": machine,
         "type": "" if record is None else record.facts.get("type", ""),
@@ -368,9 +376,9 @@ def champion_of(home: Home, machine: str) -> str:
     """Return in words what corrects a machine, and whether it was changed since that was proved; empty for nothing."""
     try:
         served = resolve("latest", machine, home, harmless=True)
-    except InputError:
-        return ""
-    except GateRefusal as error:
+    except (InputError, GateRefusal) as error:
+        if error.code == "serve.no_pointer":
+            return ""
         # Its tests and their history are none the worse for that.
         return f"none can be served: {error.message}"
     changed = changed_since(home, machine, served.proved, doubtful=True) if served.proved else ""

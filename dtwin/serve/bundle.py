@@ -191,8 +191,10 @@ class Bundle:
             raise InputError(
                 "a bundle of another version",
                 code="bundle.version",
+                where=f"machine {data.get('machine')}, version {data.get('model_version')}"[:200],
                 got=repr(data.get("version"))[:40],
                 allowed=str(_VERSION),
+                hint="install the dtwin that wrote it, or a newer one; or train and promote again with this one",
             )
         told = tuple(name for name in ("corrects", "band") if name in data)
         fields = only_fields(data, (*_BODY_FIELDS, *told, "sha256"), "bundle")

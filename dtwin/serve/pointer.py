@@ -259,16 +259,20 @@ def proven_states(machine: str, said: Mapping[int, str], home: Home) -> dict[int
     ``said``: version and its state by the registry's tags, which whoever reaches its server can write.
     """
     named: dict[int, str] = {}
+    unnamed = f"{UNPROMOTED}, whatever its tags say"
     for model in _POINTERS:
-        with contextlib.suppress(InputError, GateRefusal):
+        try:
             resolved = _follow(model, machine, home)
             # Of both, the champion comes first.
             named.setdefault(resolved.version, resolved.state)
+        except (InputError, GateRefusal) as error:
+            if error.code == "bundle.version":
+                unnamed = "not to be read here: another version of dtwin wrote it"
 
     def state(version: int, tagged: str) -> str:
         if barred_why(machine, home, version):
             return "barred"
-        return named.get(version, f"{UNPROMOTED}, whatever its tags say" if tagged in _SERVED_LIVE else tagged)
+        return named.get(version, unnamed if tagged in _SERVED_LIVE else tagged)
 
     return {version: state(version, tagged) for version, tagged in said.items()}
 

@@ -19,7 +19,7 @@ from dtwin.acquire.amending import amend, leave_out
 from dtwin.acquire.ingest import ingest
 from dtwin.cli import app
 from dtwin.config import Home
-from dtwin.errors import InputError
+from dtwin.errors import NEWER, InputError
 from dtwin.lake.store import Lake
 from dtwin.machine_record import Event, MachineRecord, keep_record, read_record, tolerances_of, with_event
 from dtwin.pipeline.machine_history import machine_history
@@ -118,6 +118,21 @@ def test_a_file_that_is_no_record_is_refused_with_its_place(home: Home, text: st
     with pytest.raises(InputError) as refused:
         read_record(home, "mill-a")
     assert "mill-a.toml" in str(refused.value.where)
+
+
+def test_a_record_of_a_newer_dtwin_hides_no_other_machine_and_stays(home: Home) -> None:
+    said("machine", "add", "mill-a")
+    newer = home.machines / "mill-b.toml"
+    newer.write_text("spindle_rpm = 9000")
+    told = cast(list[dict[str, Any]], said("machine", "list")["machines"])
+    assert [(m["machine"], m["alarms"]) for m in told] == [
+        ("mill-a", "not judged"),
+        ("mill-b", "the record of a machine is not usable"),
+    ]
+    refused = CliRunner().invoke(app, ["machine", "remove", "mill-b"]).exception
+    assert isinstance(refused, InputError)
+    assert (refused.got, refused.hint) == ("spindle_rpm", NEWER)
+    assert newer.exists()
 
 
 def test_what_cannot_be_meant_of_a_machine_is_refused(home: Home) -> None:

@@ -19,6 +19,7 @@ from dtwin.errors import DtwinError, GateRefusal, InputError
 from dtwin.lifecycle._export_records import whose
 from dtwin.machine_record import keep_record
 from dtwin.pipeline.home_check import check_home
+from dtwin.pipeline.machine_history import champion_of
 from dtwin.serve.barred import BarredWatch, bar, barred_why
 from dtwin.serve.bundle_file import load_bundle, save_bundle, write_json
 from dtwin.serve.pointer import (
@@ -70,6 +71,17 @@ def test_a_state_that_only_the_registry_tells_is_not_believed(home: Home) -> Non
     assert proven_states("cobot-a", said, home) == nothing
     bar("cobot-a", home, 3, "it made things worse")
     assert proven_states("cobot-a", {3: "champion"}, home) == {3: "barred"}
+
+
+def test_a_bundle_of_a_newer_dtwin_is_told_as_such(home: Home, monkeypatch: pytest.MonkeyPatch) -> None:
+    with monkeypatch.context() as newer:
+        newer.setattr("dtwin.serve.bundle._VERSION", 2)
+        promoted(home)
+    with pytest.raises(InputError, match="a bundle of another version") as caught:
+        resolve("latest", "cobot-a", home)
+    assert (caught.value.where, caught.value.got, caught.value.allowed) == ("machine cobot-a, version 3", "2", "1")
+    assert proven_states("cobot-a", {3: "champion"}, home)[3].startswith("not to be read here")
+    assert champion_of(home, "cobot-a") == "none can be served: a bundle of another version"
 
 
 def test_machine_may_be_left_out_when_there_is_one(home: Home) -> None:
