@@ -7,7 +7,7 @@ import uuid
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from datetime import datetime, timedelta
-from functools import lru_cache, partial
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 from dtwin.errors import InputError, StoreError
@@ -114,10 +114,28 @@ class Objects:
         """Return the objects whose names begin with a folder, in order; only those that come after a name."""
         import obstore
 
-        pages = partial(obstore.list, self._store, below or None, offset=after or None, chunk_size=1000)
-        rows = self._ask(below, lambda: [row for chunk in pages() for row in chunk])
+        def answer() -> dict[str, Any]:
+            rows: dict[str, Any] = {}
+            for chunk in obstore.list(self._store, below or None, offset=after or None, chunk_size=1000):
+                both = len(rows) + len(chunk)
+                rows |= {str(row["path"]): row for row in chunk}
+                if len(rows) < both:
+                    raise self._repeats(below)
+            return rows
+
         return sorted(
-            _Stored(str(row["path"]), int(row["size"]), str(row["e_tag"]), row["last_modified"]) for row in rows
+            _Stored(name, int(row["size"]), str(row["e_tag"]), row["last_modified"])
+            for name, row in self._ask(below, answer).items()
+        )
+
+    def _repeats(self, below: str) -> StoreError:
+        return StoreError(
+            "the shared store begins its list again before the end",
+            code="shared.list",
+            where=f"{self.bucket}/{below}",
+            got="a name twice",
+            allowed="a continuation token that leads on",
+            hint="another store or a newer version of it; look whether a proxy on the way keeps old answers",
         )
 
     def delete(self, names: Sequence[str]) -> None:

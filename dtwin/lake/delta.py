@@ -6,6 +6,7 @@ import json
 import re
 import time
 from collections.abc import Iterable, Sequence
+from functools import partial
 from typing import NamedTuple
 
 import pyarrow as pa
@@ -20,8 +21,9 @@ from dtwin.home_file import Bucket
 from dtwin.lake._folders import Place, folder_at
 from dtwin.lake._log import LIVE, Log, added, content_hash, declared, entry_of, live_hash, sort_of
 from dtwin.lake.parquet import decoded, encoded
+from dtwin.processes import within
 
-_COMMIT_TRIES = 20
+_COMMIT_TRIES, _OPEN_S = 20, 300
 # Log entries stay: repair reads in them which files were ever committed.
 _KEEP_LOG = PostCommitHookProperties(cleanup_expired_logs=False)
 # Hexadecimal digits of its own hash that the name of a data file ends with.
@@ -292,16 +294,23 @@ class DeltaFiles:
         raise self._damaged("the newest entry does not agree with the files that are live")
 
     def _open(self, version: int | None = None) -> DeltaTable:
+        opened = partial(self._opened, self._kept if version is None else None, version)
         try:
-            if version is None and self._kept is not None:
-                self._kept.update_incremental()
-                return self._kept
-            table = DeltaTable(str(self.place), version=version, storage_options=self.folder.options)
+            # Of a store the library waits for the end of a list outside of Python, and Ctrl-C for it.
+            table = within(_OPEN_S, opened) if isinstance(self.place, Bucket) else opened()
+        except TimeoutError as error:
+            raise store_error(f"the log was not read within {_OPEN_S} s", str(self.place)) from error
         except (TableNotFoundError, DeltaError, OSError, ValueError) as error:
             raise self._damaged(str(error)) from error
         if version is None and isinstance(self.place, Bucket):
             self._kept = table
         return table
+
+    def _opened(self, kept: DeltaTable | None, version: int | None) -> DeltaTable:
+        if kept is None:
+            return DeltaTable(str(self.place), version=version, storage_options=self.folder.options)
+        kept.update_incremental()
+        return kept
 
     def _damaged(self, got: str) -> StoreError:
         if isinstance(self.place, Bucket) and is_of_store(got):

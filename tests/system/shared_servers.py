@@ -6,6 +6,7 @@ import contextlib
 import http.client
 import logging
 import os
+import re
 import shutil
 import socket
 import subprocess
@@ -51,7 +52,7 @@ class StoreProxy:
 
     Attributes:
         wrong (str): Empty, or ``no_conditions`` (headers dropped), ``busy`` (503), ``away`` (no answer), ``slow``,
-            ``expired`` (credentials), ``skewed`` (clock), ``deaf`` (what is written is taken, and its answer lost).
+            ``expired`` (credentials), ``skewed`` (clock), ``deaf`` (what is written is taken, and its answer lost), ``again`` (lists begin again).
         left (int): So many requests it goes wrong, then no more.
         passes (int): So many writes pass before it goes wrong.
         wait_s (float): How long ``slow`` lasts.
@@ -109,7 +110,8 @@ class StoreProxy:
         if wrong == "no_conditions":
             headers = {k: v for k, v in headers.items() if k.lower() not in ("if-none-match", "if-match")}
         connection = http.client.HTTPConnection("127.0.0.1", self.behind, timeout=30)
-        connection.request(request.command, request.path, body, headers)
+        path = re.sub("continuation-token=[^&]*&?", "", request.path) if wrong == "again" else request.path
+        connection.request(request.command, path, body, headers)
         reply = connection.getresponse()
         content = reply.read()
         connection.close()
@@ -117,6 +119,9 @@ class StoreProxy:
             request.close_connection = True
             request.connection.shutdown(socket.SHUT_RDWR)
             return
+        if wrong == "again" and "list-type=2" in request.path:
+            more = b"<IsTruncated>true</IsTruncated><NextContinuationToken>t</NextContinuationToken>"
+            content = re.sub(rb"<IsTruncated>[a-z]*</IsTruncated>", more, content)
         _send(request, reply.status, dict(reply.getheaders()), content)
 
     def close(self) -> None:

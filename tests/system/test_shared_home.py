@@ -24,7 +24,7 @@ from dtwin.bucket import Objects, store_error
 from dtwin.config import Home
 from dtwin.documents import read_document, write_document
 from dtwin.errors import InputError, StoreError
-from dtwin.home_file import HOME_FILE
+from dtwin.home_file import HOME_FILE, Bucket
 from dtwin.lake.store import Lake
 from dtwin.shared_documents import drop_unnamed_content, follow_shared, followed_beside, shared_units
 
@@ -197,6 +197,24 @@ def test_a_store_in_trouble_in_the_middle_leaves_nothing_half_and_the_next_try_g
     other = shared(tmp_path / "c", store, f"trouble-{wrong}")
     follow_shared(other)
     assert read_document(other.root / "twins" / "t" / "v001.json") == {"a": 1}
+
+
+@pytest.mark.usefixtures("impatient")
+def test_a_list_of_a_store_that_never_ends_ends_what_reads_it(
+    proxy: StoreProxy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    home = shared(tmp_path / "a", proxy.port, "endless")
+    lake = Lake(home.lake)
+    lake.commit(*campaign("before"))
+    # One after the other: what the library began goes on until the store is gone.
+    proxy.wrong = "again"
+    with pytest.raises(StoreError, match="begins its list again") as caught:
+        Objects(Bucket(home.file.store, home.file.endpoint)).list("lake/")
+    assert caught.value.got == "a name twice"
+    monkeypatch.setattr("dtwin.lake.delta._OPEN_S", 0.5)
+    with pytest.raises(StoreError) as caught:
+        lake.runs()
+    assert caught.value.got == "the log was not read within 0.5 s"
 
 
 @pytest.mark.long
