@@ -28,8 +28,8 @@ MIXED_CORRECTION = "mixed"
 PLANES: tuple[Plane, ...] = ("XY", "YZ", "ZX")
 _FLIPPED: dict[str, Plane] = {"YX": "XY", "ZY": "YZ", "XZ": "ZX"}
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._+-]{0,99}")
-# What Windows takes for a device, whatever the ending: such a file cannot be copied there.
-_DEVICE = re.compile(r"(?i)(con|prn|aux|nul|com[0-9]|lpt[0-9])(\..*)?")
+DEVICE = re.compile(r"(?i)(con|prn|aux|nul|com[0-9]|lpt[0-9])(\..*)?")
+"""What Windows takes for a device, whatever the ending: such a file cannot be copied there."""
 
 
 def require_name(name: object, what: str) -> str:
@@ -42,7 +42,7 @@ def require_name(name: object, what: str) -> str:
     Raises:
         InputError: When the name could leave its folder or be misread.
     """
-    if isinstance(name, str) and _NAME.fullmatch(name) and ".." not in name and not _DEVICE.fullmatch(name):
+    if isinstance(name, str) and _NAME.fullmatch(name) and ".." not in name and not DEVICE.fullmatch(name):
         return name
     raise InputError(
         f"{what} is not a usable name",

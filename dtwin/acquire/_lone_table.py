@@ -16,6 +16,7 @@ from dtwin.acquire._tabular import kind_of_table, read_columns
 from dtwin.acquire.campaign_folder import RUN_KEYS, CampaignFolder, campaign_from, entry_from
 from dtwin.errors import InputError
 from dtwin.kinds.registry import kind_named
+from dtwin.schema import DEVICE
 
 _EXAMPLE = {"plane": "XY", "radius_mm": "150", "feed_mm_min": "2000", "axis": "X"}
 
@@ -84,7 +85,7 @@ _UMLAUTS = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "Ä": "Ae", "Ö": 
 
 
 def safe_name(text: str) -> str:
-    """Return a text, or what a file is called, as a name: what is not allowed in one becomes a hyphen.
+    """Return a text, or what a file is called, as a name: what is not allowed in one becomes a hyphen, and CON is table-con.
 
     Letters of other alphabets are told by a hash: two machines with names of them are two.
     """
@@ -93,5 +94,6 @@ def safe_name(text: str) -> str:
     plain = unicodedata.normalize("NFKD", text.translate(_UMLAUTS))
     name = re.sub(r"[^A-Za-z0-9._-]+", "-", "".join(c for c in plain if not unicodedata.combining(c)))
     name = re.sub(r"\.{2,}", ".", name.strip("-._")[:80].lower()) or "unnamed"
+    name = f"table-{name}" if DEVICE.fullmatch(name) else name
     foreign = any(c.isalnum() and not c.isascii() for c in plain)
     return f"{name}-{hashlib.sha256(text.encode(errors='replace')).hexdigest()[:6]}" if foreign else name

@@ -191,7 +191,13 @@ def test_a_file_of_parquet_that_would_end_the_process_is_refused(tmp_path: Path)
 
 @pytest.mark.parametrize(
     ("text", "name"),
-    [("Müller Straße.csv", "mueller-strasse"), ("Mu\u0308hle", "muehle"), ("a.b", "a.b"), ("...", "unnamed")],
+    [
+        ("Müller Straße.csv", "mueller-strasse"),
+        ("Mu\u0308hle", "muehle"),
+        ("a.b", "a.b"),
+        ("...", "unnamed"),
+        ("CON.csv", "table-con"),
+    ],
 )
 def test_a_name_is_what_people_would_write_without_umlauts(text: str, name: str) -> None:
     assert safe_name(text) == name
