@@ -84,7 +84,7 @@ def registered(
     )
     ids = registry.log_training(report, {})
     geometry = GEOMETRY | {"virtual": virtual}
-    found = [registry.register(report, ids[one.name], one, "") for one in proposed]
+    found = [registry.register(report, ids[one.name], one) for one in proposed]
     for version in found:
         registry.attach(version, {"geometry.json": json.dumps(geometry)})
     return found

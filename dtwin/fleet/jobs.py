@@ -153,18 +153,26 @@ def _trained(root: str, unit: Unit, seed: int) -> Any:
 
 
 def _register(home: Home, unit: Unit, result: Any) -> dict[str, Any]:
-    from dtwin.lifecycle.schedule import compared
+    from dtwin.lifecycle.drift import trained_rows
+    from dtwin.lifecycle.schedule import compared, digest_of
     from dtwin.lifecycle.train import registered
+    from dtwin.train.registry import Registry
 
     _require((result.report.campaign, result.report.machine), (unit.name, unit.machine), unit, "answers")
+    registry = Registry(home)
+    before = {version.version for version in registry.versions(unit.machine)}
     if unit not in _trainable(home, (unit.machine,))[0]:
-        raise GateRefusal(
-            "another computer, or somebody, trained on these runs meanwhile, or they changed",
-            code="fleet.late",
-            where=unit.name,
-            hint="nothing is registered twice; give the command again for what is new",
-        )
+        raise _late(unit)
     made = registered(home, result)
+    # Two that look at the same moment both see nothing: numbers tell who was first.
+    for other in registry.versions(unit.machine):
+        if (
+            other.version not in before
+            and int(other.version) < int(made.version.version)
+            and digest_of(trained_rows(registry, Lake(home.lake), other)) == unit.stamp
+        ):
+            registry.drop(made.version, other)
+            raise _late(unit)
     comparison = compared(home, made)
     return {
         "version": made.version.version,
@@ -172,6 +180,15 @@ def _register(home: Home, unit: Unit, result: Any) -> dict[str, Any]:
         "gates_passed": all(verdict.passed for verdict in made.verdicts),
         "against_champion": comparison.verdict if comparison is not None else None,
     }
+
+
+def _late(unit: Unit) -> GateRefusal:
+    return GateRefusal(
+        "another computer, or somebody, trained on these runs meanwhile, or they changed",
+        code="fleet.late",
+        where=unit.name,
+        hint="nothing is registered twice; give the command again for what is new",
+    )
 
 
 def _champions(days: float, home: Home, machines: Collection[str]) -> _Units:

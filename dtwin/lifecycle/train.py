@@ -72,7 +72,7 @@ def registered(home: Home, training: Training, progress: StageProgress | None = 
     overview = page(title, report.machine, [training_section(report)])
     ids = registry.log_training(report, {"comparison.html": overview})
     proposed = report.candidate(report.proposed)
-    version = registry.register(report, ids[proposed.name], proposed, "")
+    version = registry.register(report, ids[proposed.name], proposed)
     registry.attach(
         version,
         {

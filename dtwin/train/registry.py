@@ -91,15 +91,13 @@ class Registry:
     def close_abandoned(self) -> int:
         """Mark runs as killed whose process of this computer is gone; return how many."""
         running = self.client.search_runs([self.experiment()], "attributes.status = 'RUNNING'", max_results=1000)
-        gone = [r.info.run_id for r in running if is_gone(r.data.tags.get(_PROCESS, ""))]
-        for run_id in gone:
-            self.client.set_terminated(run_id, status="KILLED")
-        return len(gone)
+        for gone in (dead := [r for r in running if is_gone(r.data.tags.get(_PROCESS, ""))]):
+            self.client.set_terminated(gone.info.run_id, status="KILLED")
+        return len(dead)
 
     def log_training(self, report: TrainingReport, artifacts: Mapping[str, str | bytes]) -> dict[str, str]:
-        """Log every candidate as a run, below one parent for the training.
+        """Log every candidate as a run, below one parent with ``artifacts``: pages and tables, by file name.
 
-        ``artifacts``: pages and tables of the whole training, by file name.
         Returns MLflow run id by candidate name, and of the parent under ``""``.
         """
         stamp = time.strftime("%Y%m%d-%H%M%S")
@@ -116,7 +114,7 @@ class Registry:
         return ids
 
     def register(
-        self, report: TrainingReport, run_id: str, candidate: Candidate, description: str
+        self, report: TrainingReport, run_id: str, candidate: Candidate, description: str = ""
     ) -> RegisteredVersion:
         """Register an expression as a new version and point ``candidate`` at it.
 
@@ -125,8 +123,8 @@ class Registry:
         name = model_name(report.machine)
         self.ensure_model(
             name,
-            f"Correction of the machine {report.machine}. Versions are served only "
-            "after `dtwin promote`; an alias moved by hand has no effect.",
+            f"Correction of the machine {report.machine}. Versions are served only after `dtwin promote`; an alias "
+            "moved by hand has no effect.",
             machine=report.machine,
             holds="correction",
         )
@@ -139,6 +137,11 @@ class Registry:
         )
         self.client.set_registered_model_alias(name, "candidate", created.version)
         return self.version(report.machine, str(created.version))
+
+    def drop(self, version: RegisteredVersion, instead: RegisteredVersion) -> None:
+        """Take back a version that nobody used, for an equal one before it, which becomes the candidate again."""
+        self.client.delete_model_version(model_name(version.machine), version.version)
+        self.mark(instead, {}, alias="candidate")
 
     def ensure_model(self, name: str, description: str, *, machine: str, holds: str) -> None:
         """Make a registered model unless it is there.

@@ -18,10 +18,12 @@ from dtwin.errors import GateRefusal, StoreError
 from dtwin.fleet.jobs import TRAIN, recheck_job
 from dtwin.kinds import registry
 from dtwin.kinds.kind import NotOffered
+from dtwin.lifecycle.train import registered
 from dtwin.physics import library
 from dtwin.serve.bundle_file import load_bundle
 from dtwin.serve.pointer import resolve
 from dtwin.serve.runtime import CompiledBundle
+from dtwin.train.registry import Registry, model_name
 from dtwin.workbench._access import Access
 from dtwin.workbench._bench import Bench
 from dtwin.workbench.server import application
@@ -36,7 +38,7 @@ POINTS = {
 
 
 @pytest.fixture(autouse=True)
-def registered(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[None]:
+def _sixth(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[None]:
     monkeypatch.syspath_prepend(str(Path(__file__).parents[2]))
     for module in (registry, library):
         monkeypatch.setattr(module, "entry_points", lambda group: POINTS.get(group, []))
@@ -50,7 +52,7 @@ def registered(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[None
     registry.kind_named.cache_clear()
 
 
-def test_a_rotary_table_goes_from_plan_to_champion(tmp_path: Path) -> None:
+def test_a_rotary_table_goes_from_plan_to_champion(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     plan = tmp_path / "plan.toml"
     plan.write_text('[plan]\nkind = "turntable"\nrepeats = 3\n', encoding="utf-8")
     assert said("plan", plan)["total_s"] == pytest.approx(3 * 72.0)
@@ -68,6 +70,16 @@ def test_a_rotary_table_goes_from_plan_to_champion(tmp_path: Path) -> None:
     said("twin", "show", "c-axis", "--html", "page.html")
     assert "worm_error" in (tmp_path / "page.html").read_text(encoding="utf-8")
     ((unit,), _) = TRAIN.units(Home(tmp_path / "home"), ())
+    # Two computers see at the same moment that nobody trained on these runs.
+    home = Home(tmp_path / "home")
+    result = TRAIN.work(str(home.root), unit, 0)
+    with monkeypatch.context() as at_once:
+        at_once.setattr("dtwin.lifecycle.train.registered", lambda *of: (registered(*of), registered(*of))[1])
+        with pytest.raises(GateRefusal, match="meanwhile"):
+            TRAIN.keep(home, unit, result)
+    models = Registry(home)
+    assert [(v.version, v.aliases) for v in models.versions("table-1")] == [("1", ("candidate",))]
+    models.client.delete_registered_model(model_name("table-1"))
     trained = said("fleet", "train", "--workers", "1")["done"]["table"]
     assert (trained["gates_passed"], trained["against_champion"]) == (True, None)
     assert said("fleet", "train", "--workers", "1")["passed"] == {"table": "every run was trained on already"}
@@ -83,7 +95,6 @@ def test_a_rotary_table_goes_from_plan_to_champion(tmp_path: Path) -> None:
         recheck_job(0.0).work(str(tmp_path / "home"), replace(unit, stamp=unit.stamp[:-1]), 0)
     assert said("fleet", "recheck", "--workers", "1")["done"]["table-1"]["verdict"] == "helps"
     assert said("fleet", "recheck", "--workers", "1")["passed"]["table-1"].startswith("checked 20")
-    home = Home(tmp_path / "home")
     served = load_bundle(resolve("latest", "table-1", home).path, "table-1").bundle
     predicted = CompiledBundle(served).run(np.array([[45.0], [90.0]]))
     assert abs(predicted).max() > 1.0
