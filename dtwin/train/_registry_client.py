@@ -6,8 +6,8 @@ import json
 import logging
 import os
 import sqlite3
-from collections.abc import Callable
-from contextlib import closing, nullcontext
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
@@ -16,7 +16,7 @@ from mlflow.exceptions import MlflowException
 from mlflow.store.entities import PagedList
 from mlflow.utils.credentials import get_default_host_creds
 from mlflow.utils.rest_utils import http_request
-from sqlalchemy import create_engine
+from sqlalchemy import create_engine, text
 from sqlalchemy.exc import SQLAlchemyError
 
 from dtwin.config import Home
@@ -30,6 +30,8 @@ _CONNECT_S = 10
 _ANSWER_S = 30
 # One call is at most some requests, or a file that is sent or fetched.
 _CALL_S, _LONGEST_ANSWER = 300, 1_000_000
+# Other computers make tables for some seconds; the number is any that nobody else has.
+_TABLES_S, _TABLES_LOCK = 60, 7_236_541_009
 _Found = TypeVar("_Found")
 
 
@@ -63,15 +65,17 @@ def client_of(home: Home, *, reads: bool = False) -> MlflowClient:
     if home.file.endpoint:
         # MLflow asks the environment only.
         os.environ.setdefault("MLFLOW_S3_ENDPOINT_URL", home.file.endpoint)
-    if uri.startswith("postgresql"):
-        _require_answer(uri)
-    elif uri.startswith("http"):
+    if uri.startswith("http"):
         # What is logged goes where its user said, and nowhere else.
         os.environ.setdefault("MLFLOW_ALLOW_HTTP_REDIRECTS", "false")
         _require_server(uri)
     # The first client of an empty database makes its tables; two at once would both make them.
     alone = uri.startswith(("sqlite", "postgresql")) and not only_reads
-    with locked(home.made().root / "locks" / "registry-tables.lock", wait=True) if alone else nullcontext():
+    with ExitStack() as held:
+        if alone:
+            held.enter_context(locked(home.made().root / "locks" / "registry-tables.lock", wait=True))
+        if uri.startswith("postgresql"):
+            held.enter_context(_alone_at(uri))
         if alone and database is not None and not database.stat().st_size:
             _make_tables(database)
         if alone and database == home.root / "mlflow" / "mlflow.db" and isinstance(home.mlflow_artifacts, Path):
@@ -120,11 +124,16 @@ def _not_usable(database: Path, error: sqlite3.DatabaseError) -> StoreError:
     )
 
 
-def _require_answer(uri: str) -> None:
-    """Ask a database for nothing: MLflow would try again for minutes, and end in a traceback."""
+@contextmanager
+def _alone_at(uri: str) -> Iterator[None]:
+    """Ask a database whether it answers, where MLflow would try again for minutes and end in a traceback, and be the only client that makes tables there."""
     engine = create_engine(uri, connect_args={"connect_timeout": _CONNECT_S})
     try:
-        engine.connect().close()
+        with engine.begin() as connection:
+            connection.execute(text(f"SET LOCAL lock_timeout = '{_TABLES_S}s'"))
+            # It ends with the transaction, however that ends.
+            connection.execute(text(f"SELECT pg_advisory_xact_lock({_TABLES_LOCK})"))
+            yield
     except SQLAlchemyError as error:
         raise StoreError(
             "the model registry does not answer",
@@ -168,12 +177,12 @@ def _said_by(uri: str) -> str:
         if answer.status_code != 200:
             to = answer.headers.get("Location", "")
             return f"HTTP {answer.status_code}" + (f", it sends to {to}" if to else "")
-        text = b""
+        said = b""
         for part in answer.iter_content(65536):
-            text += part
-            if len(text) > _LONGEST_ANSWER:
+            said += part
+            if len(said) > _LONGEST_ANSWER:
                 return f"an answer of more than {_LONGEST_ANSWER} bytes"
-    return "" if isinstance(json.loads(text), dict) else "an answer that is not MLflow's"
+    return "" if isinstance(json.loads(said), dict) else "an answer that is not MLflow's"
 
 
 def _away(uri: str, got: str) -> StoreError:

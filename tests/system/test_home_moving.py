@@ -10,6 +10,7 @@ import subprocess
 import sys
 import tomllib
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -81,6 +82,15 @@ def files_of(folder: Path) -> dict[str, str]:
         for path in sorted(folder.rglob("*"))
         if path.is_file() and path.name not in (".lock", ".writing")
     }
+
+
+def test_two_computers_on_an_empty_registry_make_its_tables_one_after_the_other(
+    database: Postgres, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("MLFLOW_TRACKING_URI", f"postgresql+psycopg2://dtwin@127.0.0.1:{database.port}/prefect")
+    with ThreadPoolExecutor() as computers:
+        models = list(computers.map(lambda name: Registry(Home(tmp_path / name)).machines(), ("a", "b", "c")))
+    assert models == [[], [], []]
 
 
 def test_a_home_moves_there_and_back_and_is_the_same(
