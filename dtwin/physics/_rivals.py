@@ -154,7 +154,7 @@ def _is_possible(problem: Problem, candidates: Candidates, candidate: Candidate,
     wanted = turned.T @ problem.residual.ravel()
     parameters = candidate.term.instance.effect.parameters
     # What is stated in micrometres is what the runs show; only a coefficient can be one of no machine.
-    signed = candidates.visible(beside_top, candidate.term).shape[1] > 0
+    signed = any(p.positive for p in parameters) and candidates.visible(beside_top, candidate.term).shape[1] > 0
     largest = np.array([np.inf if p.unit == "um" else p.largest for p in parameters])
     least = np.where([p.positive and signed for p in parameters], 0.0, -largest)
     # Where columns are nearly alike sizes are large that need not be.
@@ -209,10 +209,12 @@ def _group(
         other = refined_candidate(problem, few, candidates, found, level)
         if other.score.gain < _GROUP_GAIN * top.score.gain:
             continue
-        invisible = not candidates.visible(beside, other.term).shape[1]
-        if in_part and invisible and candidates.numbers(other.term) < candidates.numbers(top.term):
+        plainer = in_part and candidates.numbers(other.term) < candidates.numbers(top.term)
+        if plainer and not candidates.visible(beside, other.term).shape[1]:
             hidden.add(other.term.label)
-        elif not _as_good(problem, top, other) and not _adds_nothing(problem, top, other, candidates, level):
+        elif not _as_good(problem, top, other) and not _adds_nothing(
+            problem, top, other, candidates, level, other.visible
+        ):
             continue
         group.append(other)
     return tuple(group), frozenset(hidden)
@@ -360,9 +362,15 @@ def refined_candidate(
 
 
 def _adds_nothing(
-    problem: Problem, top: Candidate, other: Candidate, candidates: Candidates, level: NoiseLevel
+    problem: Problem,
+    top: Candidate,
+    other: Candidate,
+    candidates: Candidates,
+    level: NoiseLevel,
+    visible: Floats | None = None,
 ) -> bool:
-    visible = candidates.visible(problem, other.term)
+    """Tell whether an effect has nothing significant left beside another one; ``visible``: of that one, where it was tested in this problem."""
+    visible = candidates.visible(problem, other.term) if visible is None else visible
     given = problem.extended(visible, candidates.whitened(problem, other.term))
     simpler = candidates.numbers(other.term) < candidates.numbers(top.term)
     return _is_nothing(given, candidates, top, level, _SIMPLER_P if simpler else _GROUP_P)
