@@ -33,6 +33,8 @@ from dtwin.schema import Floats, RunMeta, require_name
 _USUAL_AXES = "XYZ"
 # Of what an effect shows beside the set-ups, so much is shown by another one too: they look alike.
 _ALIKE = 0.95
+# A thousand, as in 1.000 and 1,000, or one with three decimals, or two numbers.
+_OF_THOUSANDS = re.compile(r"[1-9]\d{0,2}(\.\d00|(\.\d{3}){2,})|0\d\d")
 _Where = tuple[object, ...]
 
 
@@ -77,13 +79,20 @@ def with_settings(document: Mapping[str, Any], told: Mapping[str, str]) -> dict[
 
 
 def _read(name: str, text: str, usual: Any) -> Any:
+    wanted = usual[0] if isinstance(usual, list) else usual
+    parts = [part for part in re.split(r"[,;\s]+", text) if part] if isinstance(usual, list) else [text.strip()]
+    if isinstance(wanted, float) and any(map(_OF_THOUSANDS.fullmatch, parts)):
+        raise InputError(
+            "a setting can be read in two ways",
+            code="plan.setting",
+            where=name,
+            got=text[:60],
+            allowed="numbers with no sign between their thousands, such as 1000 or 1.5",
+        )
     try:
-        if isinstance(usual, list):
-            parts = [part for part in re.split(r"[,;\s]+", text) if part]
-            return [type(usual[0])(part) for part in parts]
-        return type(usual)(text.strip())
+        read = [type(wanted)(part) for part in parts]
+        return read if isinstance(usual, list) else read[0]
     except ValueError:
-        wanted = usual[0] if isinstance(usual, list) else usual
         raise InputError(
             "a setting cannot be read",
             code="plan.setting",

@@ -43,6 +43,7 @@ def _by_ends(clauses: Mapping[str, str]) -> Mapping[tuple[str, str], list[_Claus
 _PIECES = _by_ends(_CLAUSES)
 # A longer text is no finding of dtwin's. Names that stand for ``{}`` have no more blanks than these.
 _LONGEST, _MOST_SPACES = 1500, 2
+_AMENDED = "metadata version "
 _WORD = re.compile("[A-Za-z]{3}")
 _FUNCTION = re.compile(r"\b(?:cos|sin|exp)\b")
 _WORDS_OF = re.compile("[A-Za-z]{3,}")
@@ -76,7 +77,13 @@ def _german_of(text: str, tell: Callable[[object], str]) -> str | None:
         ends = {(first, last) for first in (part[:2], "") for last in (part[-2:], "")}
         for _, pieces, german in merge(*(_PIECES.get(key, ()) for key in ends)):
             if (between := _between(pieces, part)) is not None:
-                words = [_worded(word) or clause(word) or _name(word, tell) for word in between]
+                words = [
+                    (_TITLES.get(word) if before.endswith("(") else None)
+                    or _worded(word)
+                    or clause(word)
+                    or _name(word, tell)
+                    for before, word in zip(pieces, between, strict=False)
+                ]
                 if None not in words:
                     return german.format(*words)
         if colon and (said := clause(rest)) is not None:
@@ -85,6 +92,11 @@ def _german_of(text: str, tell: Callable[[object], str]) -> str | None:
             return None if who is None else f"{who}: {said}"
         return _sized(part, tell) or _labels(part)
 
+    told_by, because, reason = text.partition(", because ")
+    if because and text.startswith(_AMENDED):
+        # The reason is in the words of whoever gave it.
+        said = _german_of(told_by, tell)
+        return None if said is None else f"{said}, Grund: {reason}"
     if len(text) > _LONGEST:
         return None
     parts = re.split(r"(; |\. (?=[A-Z]))", text.removesuffix("."))

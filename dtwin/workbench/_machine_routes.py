@@ -165,7 +165,17 @@ def next_page(request: Request, bench: Here, name: str) -> Response:
     if not is_compared(bench.home, name, bench.library):
         return _not_diagnosed(request, name, "next")
     advice = machine_next(bench.home, name, library=bench.library)
-    return rendered(request, "next.html", title=_TITLES["next"].format(name), found=advice)
+    of_cause: dict[str, list[str]] = {}
+    for effect in bench.library.values():
+        of_cause.setdefault((effect.cause or effect.name).replace("_", " "), []).append(effect.name)
+    # A cause that several effects share has no page.
+    pages = {cause: names[0] for cause, names in of_cause.items() if len(names) == 1}
+    named = [
+        (line, max((c for c in pages if f"{line} ".startswith(f"{c} ")), key=len, default=""))
+        for line in advice["untold"]
+    ]
+    untold = [(line, pages.get(cause, "")) for line, cause in named]
+    return rendered(request, "next.html", title=_TITLES["next"].format(name), found=advice, untold=untold)
 
 
 @router.get("/machines/{name}/next/{test}.{ending}")

@@ -96,6 +96,8 @@ def test_all_kinds_with_a_plan_have_a_form() -> None:
         ({"machine": "other"}, "plan.setting"),
         ({"radius_mm": "wide"}, "plan.setting"),
         ({"repeats": "2.5"}, "plan.setting"),
+        ({"feed_mm_min": "1.000"}, "plan.setting"),
+        ({"feed_mm_min": "500,1,500.5,1,000"}, "plan.setting"),
         ({"radius_mm": "9000"}, "plan.limits"),
         ({"radius_mm": ""}, "plan.grid"),
         ({"plane": "XW"}, "plane.unknown"),

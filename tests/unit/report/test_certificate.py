@@ -23,6 +23,8 @@ from dtwin.cli import app
 from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.kinds.registry import kind_named
+from dtwin.kinds.volumetric._chain import COEFFICIENTS
+from dtwin.kinds.volumetric.motions import motion_words
 from dtwin.lake.store import Lake
 from dtwin.physics import localise
 from dtwin.physics.learned import learned_effect
@@ -267,6 +269,11 @@ def test_what_a_diagnosis_tells_is_german_in_a_german_report() -> None:
         "missing_effect: joint_offset J2 (Zero offset of a joint) takes 88.1 % of the squares on poses held out, as "
         "well as joint_offset J3",
         "ambiguous: bed_c or time alone: this log does not tell which",
+        "contradiction: bar X (second axis bow at 100 mm) of a is 3.1 ± 0.2 µm above that of b (p = 1e-05): the machine "
+        "changed, or one of them is mistaken",
+        "metadata version 2 (2026-11-30T03:34, root): r001, r002, r3, r4 and 4 more radius_mm stated anew, because wrong",
+        "metadata version 2 (2026-11-30T03:34, root): r001 left out, because ein Kabel hing im Weg und zog daran",
+        "error in X of axis Z, linear in its travel",
     ],
 )
 def test_what_a_twin_lacks_and_which_test_tells_is_german(text: str) -> None:
@@ -292,7 +299,8 @@ def test_every_translated_clause_is_said_somewhere() -> None:
         for slope in (-1, 0, 1)
         for over in ("feed", "radius", "frequency", "amplitude")
     )
-    said += "\n".join(effect.title for effect in PLACES.values())
+    said += "\n".join([*(effect.title for effect in PLACES.values()), *map(motion_words, COEFFICIENTS)])
+    said += "\nmore left out\nmore taken in again\n"
     said += residual_map(np.ones((1, 360)), ["c"], floor_um=0.5, title="Mean residual").layout.title.text
     pieces = {piece.strip(" ,:;()") for clause in _CLAUSES for piece in clause.split("{}")}
     assert [piece for piece in sorted(pieces) if piece not in said] == []
