@@ -45,7 +45,7 @@ pre { background: #f6f7f8; padding: .8rem; overflow: auto; font-size: .82rem; ma
 button { font: inherit; padding: 8px 14px; }
 {{ sheet }}
 @media print { button { display: none; } body { padding: 0; max-width: none; font-size: 12px; } .pair { display: block; } .pair > div { zoom: .85; } section > div > div { break-inside: avoid; } .slider-container { display: none; }
- table { display: table; font-size: 9px; } th, td { white-space: normal; padding: 2px 3px; } tr { break-inside: avoid; } h2 { break-after: avoid; } pre { max-height: none; white-space: pre-wrap; font-size: 8px; } }
+ table { display: table; font-size: 9px; } th, td { white-space: normal; padding: 2px 3px; } tr { break-inside: avoid; } h2, h2 + p { break-after: avoid; } pre { max-height: none; white-space: pre-wrap; font-size: 8px; } }
 </style></head><body>
 <button type="button" onclick="window.print()">{{ words.say("Print, or save as PDF") }}</button>
 <h1>{{ title }}</h1><p class="note">{{ subtitle }}</p>

@@ -33,6 +33,8 @@ _CURVES = (COLOURS["measured"], COLOURS["second"], COLOURS["third"], COLOURS["fo
 _NOMINAL = ("nominal", 0.0, {"line": {"color": COLOURS["floor"], "width": 1, "dash": "dot"}, "hoverinfo": "skip"})
 _ALONG = {"angle_deg": "path angle", "position_mm": "position", "phase_deg": "phase of the command"}
 _CELLS = 72
+# A row of a map, and the highest map.
+_ROW_PX, _MAP_PX = 16, 800
 _STEPS = (0.25, 0.5, 1.0, 2.0, 4.0)
 
 
@@ -189,8 +191,9 @@ def residual_map(
     figure.update_layout(
         title=f"{title} ({_floor_words(floor_um)})",
         xaxis=_axis(grid),
-        height=max(320, 60 + 22 * len(conditions)),
-        yaxis={"autorange": "reversed", "dtick": 1},
+        # On paper no higher than a page beside its headline: a higher one would leave the page before it empty.
+        height=min(_MAP_PX, max(320, 60 + _ROW_PX * len(conditions))),
+        yaxis={"autorange": "reversed", "dtick": -(-_ROW_PX * len(conditions) // _MAP_PX)},
     )
     return styled(figure)
 

@@ -11,6 +11,7 @@ from dtwin.atomic import write_text
 from dtwin.errors import StoreError
 from dtwin.report.html import Section, Table, page
 from dtwin.report.plots import polar_figure
+from dtwin.report.twin_plots import residual_map
 
 EVIL = "<script>alert(1)</script>\"'><img src=x onerror=alert(2)>"
 
@@ -52,3 +53,9 @@ def test_a_page_that_cannot_be_written_leaves_nothing(tmp_path: Path) -> None:
     with pytest.raises(StoreError):
         write_text(target, "x", "the page")
     assert [p.name for p in tmp_path.iterdir()] == ["x.html"]
+
+
+def test_a_map_of_many_conditions_fits_below_its_headline_on_a_page() -> None:
+    """It stood on a page of its own, and left the one before nearly empty."""
+    made = residual_map(np.ones((100, 360)), [str(n) for n in range(100)], floor_um=0.5, title="Mean residual")
+    assert (made.layout.height, made.layout.yaxis.dtick) == (800, 2)
