@@ -36,7 +36,7 @@ _MAX_UNPACKED = 256 * 1024**2
 _IN_ARCHIVES = (".csv", ".tsv", ".txt", ".dat", ".md", ".xlsx", ".xlsm", ".xls")
 _SNIFFED, _FIRST_LINES = 65_536, 100
 _LOOKED_AT = 200
-_MOST_ROWS, _MOST_COLUMNS = 200_000, 512
+_MOST_ROWS, _MOST_COLUMNS, _MOST_CELLS = 200_000, 512, 4_000_000
 # Of a sheet of Excel; for rows that a file leaves out empty ones are read.
 _LAST_ROW = 1_048_576
 _FORMULA = re.compile(rb"<(\w+:)?f[ />]")
@@ -109,8 +109,6 @@ def _converted(path: Path, _changed_ns: int, axis: str | None) -> tuple[bytes, b
 
     ``axis``: None takes the first of those with the same heads: they are of one form.
     """
-    import openpyxl
-
     data: bytes = path.read_bytes()
     try:
         if data.startswith(_GZIP):
@@ -130,7 +128,7 @@ def _converted(path: Path, _changed_ns: int, axis: str | None) -> tuple[bytes, b
             filtered = _sheets_with(_HIDDEN_ROW, archive) if small else set()
         if unpacked > _MAX_UNPACKED:
             raise _refused(path, f"{unpacked / 1e6:z.0f} MB unpacked", f"up to {_MAX_UNPACKED / 1e6:z.0f} MB")
-        book = openpyxl.load_workbook(io.BytesIO(data), read_only=True, data_only=True, keep_links=False)
+        book = _opened(data, data_only=True)
         try:
             # What is hidden is not what its reader sees.
             shown = [sheet for sheet in book.worksheets if sheet.sheet_state == "visible"]
@@ -251,6 +249,15 @@ def _sheets_with(form: re.Pattern[bytes], archive: zipfile.ZipFile) -> set[str]:
     return found
 
 
+def _opened(data: bytes, *, data_only: bool = False) -> Any:
+    """Open a workbook. One that does not say how far its sheets reach would be read to its end for that, which is not believed anyway."""
+    import openpyxl
+    from openpyxl.worksheet._read_only import ReadOnlyWorksheet
+
+    setattr(ReadOnlyWorksheet, "_get_size", lambda sheet: None)  # noqa: B010
+    return openpyxl.load_workbook(io.BytesIO(data), read_only=True, data_only=data_only, keep_links=False)
+
+
 def _require_shown(path: Path, sheet: Any, filtered: Collection[str]) -> None:
     """Refuse a sheet with rows that are not shown: figures would be of other rows than those that its reader sees."""
     if sheet._worksheet_path in filtered:
@@ -266,9 +273,7 @@ def _require_shown(path: Path, sheet: Any, filtered: Collection[str]) -> None:
 
 def _require_saved(path: Path, data: bytes, sheets: Sequence[Any]) -> None:
     """Refuse a formula whose value was never calculated, as programs write it: it would count as a cell without a reading."""
-    import openpyxl
-
-    book = openpyxl.load_workbook(io.BytesIO(data), read_only=True, keep_links=False)
+    book = _opened(data)
     try:
         for sheet in sheets:
             book[sheet.title].reset_dimensions()
@@ -296,7 +301,7 @@ def _heads(rows: list[list[str]]) -> list[str]:
 
 def _rows(path: Path, cells: Iterator[Sequence[object]]) -> list[list[str]]:
     rows: list[list[str]] = []
-    size = 0
+    size = count = 0
     for number, row in enumerate(cells):
         if number == _LAST_ROW:
             raise _refused(path, f"a row below {_LAST_ROW}", "rows of a sheet of Excel")
@@ -308,6 +313,11 @@ def _rows(path: Path, cells: Iterator[Sequence[object]]) -> list[list[str]]:
         size += sum(map(len, texts))
         if size > _MAX_UNPACKED:
             raise _refused(path, "long texts in many cells", f"up to {_MAX_UNPACKED / 1e6:z.0f} MB as text")
+        count += len(texts)
+        if count > _MOST_CELLS:
+            raise _refused(
+                path, f"more than {_MOST_CELLS} cells", f"up to {_MOST_CELLS} cells: keep the columns that are meant"
+            )
         if len(rows) > _MOST_ROWS or len(texts) > _MOST_COLUMNS:
             raise _refused(
                 path, f"{len(rows)} rows of {len(texts)} cells", f"up to {_MOST_ROWS} rows and {_MOST_COLUMNS} columns"

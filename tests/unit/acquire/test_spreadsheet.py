@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import os
 import zipfile
 from datetime import datetime, time, timedelta
 from pathlib import Path
@@ -127,6 +128,19 @@ def test_a_long_text_in_very_many_cells_is_refused(tmp_path: Path, monkeypatch: 
     with pytest.raises(InputError) as refused:
         table_bytes(path, 10**7)
     assert refused.value.got == "long texts in many cells"
+
+
+def test_a_sheet_of_very_many_cells_is_refused_and_none_is_read_to_know_how_far_it_reaches(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = write(tmp_path / "many.xlsx", circle())
+    monkeypatch.setattr("openpyxl.worksheet._reader.WorkSheetParser.parse_dimensions", None)
+    assert table_bytes(path, 10**6)
+    monkeypatch.setattr("dtwin.acquire.spreadsheet._MOST_CELLS", 100)
+    os.utime(path, (0, 0))
+    with pytest.raises(InputError, match="cannot be read") as caught:
+        table_bytes(path, 10**6)
+    assert caught.value.got == "more than 100 cells"
 
 
 def test_xml_that_names_entities_is_refused(tmp_path: Path) -> None:
