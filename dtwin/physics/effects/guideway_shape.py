@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
+import math
 from functools import partial
+
+import numpy as np
 
 from dtwin.physics.effect import OVER, SECOND_AXIS, Effect, Law, Parameter, Shape, guideway
 from dtwin.physics.state import State
@@ -16,7 +20,8 @@ def _columns(state: State, axis: str, shape: Shape) -> Floats:
 
 
 def _power(x_mm: Floats, order: int) -> Floats:
-    return (x_mm / 100.0) ** order
+    # A power of an array takes twenty times as long as its products.
+    return np.asarray(math.prod(itertools.repeat(x_mm / 100.0, order)))
 
 
 EFFECT = Effect(
