@@ -40,16 +40,12 @@ _UNITS: Mapping[str, tuple[str, float]] = {
     **dict.fromkeys(("%", "%rh", "%rf"), ("pct", 1.0)),
     **dict.fromkeys(("um/m", "μm/m"), ("um_per_m", 1.0)),
     NEWTON_METRE: ("nm", 1.0),
-    "kpa": ("kpa", 1.0),
+    **{name: (name, 1.0) for name in ("kpa", "hz", "g", "v", "a")},
     **dict.fromkeys(("hpa", "mbar"), ("kpa", 0.1)),
-    "hz": ("hz", 1.0),
-    "g": ("g", 1.0),
     "mg": ("g", 1e-3),
-    "v": ("v", 1.0),
-    "a": ("a", 1.0),
 }
 _NOT_READ = frozenset(
-    (
+    [
         "k",
         "n",
         "kn",
@@ -67,7 +63,7 @@ _NOT_READ = frozenset(
         "arcsec",
         "arcmin",
         "″",
-    )
+    ]
 )
 """Units of columns that are left out."""
 TURNED = re.compile(r"\s*([-\u2212\u2013]\s*[^\W\d]|\|)|.*±")
@@ -333,8 +329,8 @@ def _column(head: str, unit_below: str, answer: str | None) -> Column:
     if answer is not None:
         if not answer:
             return Column(head, unit, "", why_not="you left it out")
-        wanted = _ending(answer)
-        return _scaled(head, unit, answer, here or wanted, wanted, factor)
+        name = _of_the_house(answer)
+        return _scaled(head, unit, name, here or _ending(answer), _ending(name), factor)
     if not here:
         return Column(head, unit, "", why_not=f"its unit {unit} is not known" if unit else "no unit is told")
     if TURNED.match(base):
@@ -345,6 +341,16 @@ def _column(head: str, unit_below: str, answer: str | None) -> Column:
             return _scaled(head, unit, f"{stem}_{wanted}", here, wanted, factor)
     stem = re.sub(r"\W+", "_", base.strip().lower()).strip("_") or "column"
     return _scaled(head, unit, f"{stem}_{here}", here, here, factor)
+
+
+def _of_the_house(answer: str) -> str:
+    """Return the column of a kind of test that a name means that has another unit: ``deviation_um`` of ``deviation_mm``."""
+    from dtwin.kinds.registry import kinds
+
+    names = {name for kind in kinds() for name in kind.columns}
+    unit = _ending(answer)
+    meant = (answer.removesuffix(unit) + wanted for given, wanted in _BETWEEN if given == unit)
+    return answer if answer in names else next((name for name in meant if name in names), answer)
 
 
 def _ending(name: str) -> str:

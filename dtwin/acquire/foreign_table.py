@@ -159,7 +159,7 @@ def house_file(
             where=str(path),
             got="; ".join(f"{c.head}: {c.name or c.why_not}" for c in columns)[:300],
             allowed=", ".join(kind.columns),
-            hint=f'state under [campaign.instrument.columns] what a head is, with the unit of the file, as "HEAD" = "{lacking[0]}"',
+            hint=f'state under [campaign.instrument.columns] what a head is, as "HEAD" = "{lacking[0]}"; with the unit of the file where the head has none',
         )
     with tempfile.TemporaryDirectory() as scratch:
         lone = Path(scratch) / f"{path.stem}.csv"

@@ -461,3 +461,11 @@ def test_tables_of_another_program_in_a_campaign_folder(tmp_path: Path) -> None:
     columns = '[campaign.instrument.columns]\n"Kanal 1" = "deviation_um"\n'
     (tmp_path / "campaign.toml").write_text(document.replace("[[run]]", f"{columns}[[run]]", 1), "utf-8")
     assert len([run for found, _ in open_source(tmp_path)[1] for run in found]) == 4
+
+
+@pytest.mark.parametrize(("answer", "factor"), [("deviation_um", 1.0), ("deviation_mm", 1000.0)])
+def test_an_answer_has_the_unit_of_the_file(tmp_path: Path, answer: str, factor: float) -> None:
+    path = tmp_path / "c.csv"
+    path.write_text("Phi;d\n" + "".join(f"{n};{n % 7}\n" for n in range(360)), "utf-8")
+    found = understand(path, Home(tmp_path / "home"), CIRCLE, {"Phi": "angle_deg", "d": answer})
+    assert [(c.name, c.factor) for c in found.columns] == [("angle_deg", 1.0), ("deviation_um", factor)]
