@@ -194,6 +194,8 @@ def _malformed(path: Path, error: Exception) -> InputError:
             hint="it may be cut short or damaged: copy or write it again",
         )
     uneven = _UNEVEN.search(str(error))
+    # What is read at once is a megabyte.
+    got = "a first line of more than a megabyte, or none" if "infer number of columns" in str(error) else str(error)
     if uneven:
         row, heads, cells, text = uneven.groups()
         got = f"row {row} has {cells} cell{'s' * (cells != '1')}, the first row {heads}: {text.strip()}"
@@ -203,9 +205,7 @@ def _malformed(path: Path, error: Exception) -> InputError:
         else "the table cannot be read",
         code="table.malformed",
         where=str(path),
-        got="bytes that are no text"
-        if isinstance(error, UnicodeDecodeError)
-        else (got if uneven else str(error))[:200],
+        got="bytes that are no text" if isinstance(error, UnicodeDecodeError) else got[:200],
         allowed="columns parted by commas with decimal points, or by semicolons with decimal commas or points",
         hint=f"dtwin import {path.name} reads tables of other programs; else the file may be cut short or damaged",
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
@@ -359,7 +360,8 @@ def inside(folder: Path, name: object, where: str) -> Path:
     """Return the path of a file that a campaign names, refused where it leaves the folder."""
     if not isinstance(name, str) or not name or "\x00" in name:
         raise InputError("a run must name its file", code="campaign.file", where=where)
-    path = (folder / name).resolve()
+    # Not Path.resolve, which a link that leads to itself ends.
+    path = Path(os.path.realpath(folder / name))
     if not path.is_relative_to(folder.resolve()):
         raise InputError(
             "a file lies outside the campaign folder",

@@ -147,6 +147,15 @@ def test_a_pipe_is_no_file_of_a_campaign(tmp_path: Path) -> None:
         open_campaign(made)
 
 
+def test_a_link_that_leads_to_itself_is_no_file_of_a_campaign(tmp_path: Path) -> None:
+    made = folder(tmp_path, RUN)
+    (made / "r1.csv").unlink()
+    (made / "r1.csv").symlink_to("r1.csv")
+    with pytest.raises(InputError) as caught:
+        ingest(made, Lake(tmp_path / "lake"))
+    assert caught.value.code == "file.missing"
+
+
 def test_a_contradiction_between_toml_and_file_is_a_finding(tmp_path: Path, real_recording: Path) -> None:
     shutil.copy(real_recording, tmp_path / "real.b5r")
     run = '[[run]]\nid = "real"\nfile = "real.b5r"\nfeed_mm_min = 3000.0\n'
