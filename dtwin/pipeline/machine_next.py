@@ -16,6 +16,7 @@ from dtwin.physics.effect import Effect
 from dtwin.physics.library import Library
 from dtwin.physics.next_test import Knowledge, Made, Unknown, unclear
 from dtwin.physics.observations import Observations
+from dtwin.physics.state import AXES_OF
 from dtwin.pipeline.machine_history import record_of
 from dtwin.pipeline.machine_joint import compared, newest_tests
 from dtwin.pipeline.planned_tests import draft_of
@@ -95,7 +96,7 @@ def machine_next(
         "machine": machine,
         "measured": counted,
         "passed_over": together["passed_over"],
-        "unclear": [list(group) for test in measured for group in test.unclear if len(group) > 1],
+        "unclear": list(dict.fromkeys(_by_axis(group, known) for test in measured for group in test.unclear)),
         "untold": _by_cause(knowledge.untold),
         "tests": sorted(tests, key=lambda test: -test["bits_per_minute"]),
     }
@@ -105,6 +106,15 @@ def _groups(together: Mapping[str, Any]) -> list[list[list[str]]]:
     """Return what each test found, settled by the others."""
     left = {(s["campaign"], tuple(s["group"])): s["left"] for s in together["settled"]}
     return [[left.get((t["campaign"], tuple(g))) or g for g in t["found"]] for t in together["tests"]]
+
+
+def _by_axis(group: Sequence[str], library: Mapping[str, Effect]) -> tuple[str, ...]:
+    """Return a group; of a difference of two axes that was found alone, the effect on each of them."""
+    if len(group) > 1:
+        return tuple(group)
+    name, _, plane = group[0].partition(" ")
+    alike = [e.name for e in library.values() if e.cause == library[name].cause and e.per == "axis"]
+    return tuple(f"{other} {axis}" for axis in AXES_OF[plane] for other in alike[:1])
 
 
 def _by_cause(unknowns: Sequence[Unknown]) -> list[str]:

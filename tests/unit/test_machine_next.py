@@ -18,6 +18,8 @@ from dtwin.acquire.ingest import ingest
 from dtwin.config import Home
 from dtwin.kinds.kind import NotOffered
 from dtwin.lake.store import Lake
+from dtwin.physics.library import Library
+from dtwin.pipeline.machine_next import _by_axis
 from dtwin.workbench._access import Access
 from dtwin.workbench._bench import Bench
 from dtwin.workbench.server import application
@@ -126,3 +128,8 @@ def test_the_page_shows_the_tests_and_gives_their_files(home: Path) -> None:
         assert f"{circles['name']}/t001.nc" in archive.namelist()
     assert browser.get("/machines/mill-7/next/nothing.toml").status_code == 404
     assert browser.get(f"/machines/mill-7/next/{circles['name']}.exe").status_code == 400
+
+
+def test_a_difference_that_was_found_alone_is_told_by_its_axes() -> None:
+    assert _by_axis(["scale_mismatch ZX"], Library()) == ("lead_error Z", "lead_error X")
+    assert _by_axis(["scale_mismatch ZX", "servo_lag"], Library()) == ("scale_mismatch ZX", "servo_lag")
