@@ -16,6 +16,7 @@ from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.fleet.jobs import DIAGNOSES
 from dtwin.kinds.registry import kind_named
+from dtwin.lake.rows import moved_in
 from dtwin.lake.store import Lake
 from dtwin.machine_record import read_record
 from dtwin.physics.fit import fit
@@ -298,8 +299,7 @@ def _tests(home: Home, machines: Sequence[str]) -> dict[str, str]:
     of_sort: dict[tuple[str, ...], dict[str, str]] = {}
     for machine in machines:
         for name, rows in newest_tests(lake.runs(left_out=True, machine=machine), machine).items():
-            moved = sorted({str(row["plane"] or row["condition_json"]) for row in rows if not row["left_out"]})
-            of_sort.setdefault((str(rows[0]["kind"]), *moved), {})[machine] = name
+            of_sort.setdefault((str(rows[0]["kind"]), *moved_in(rows)), {})[machine] = name
     return max(of_sort.values(), key=len, default={})
 
 

@@ -270,6 +270,11 @@ def by_campaign(rows: Iterable[_Row]) -> dict[str, list[_Row]]:
     return campaigns
 
 
+def moved_in(rows: Iterable[Mapping[str, Any]]) -> tuple[str, ...]:
+    """Return the planes of a campaign, else the conditions that name its axes, in order, of the rows of its runs."""
+    return tuple(sorted({str(row["plane"] or row["condition_json"]) for row in rows if not row["left_out"]}))
+
+
 def campaign_of(rows: Sequence[Mapping[str, Any]]) -> Campaign:
     """Return what the rows of the runs of a campaign say of it; all of them, at least one."""
     first = rows[0]

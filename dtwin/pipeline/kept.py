@@ -26,7 +26,7 @@ from dtwin.report.checking import campaign_sheet
 from dtwin.report.uncertainty import Variation
 from dtwin.schema import Finding, Run, require_name
 
-_MADE_BY = f"{__version__} with trends as one change"
+_MADE_BY = f"{__version__} with the planes and axes of tests"
 """Changes when the same runs give other figures: what was kept before is made anew."""
 
 

@@ -12,7 +12,7 @@ from typing import Any
 from dtwin.config import Home
 from dtwin.errors import GateRefusal, InputError
 from dtwin.kinds.registry import kind_named
-from dtwin.lake.rows import by_campaign, campaign_of
+from dtwin.lake.rows import by_campaign, campaign_of, moved_in
 from dtwin.lake.store import Lake
 from dtwin.machine_record import MachineRecord, changed_since, drop_record, read_record, recorded
 from dtwin.physics.effect import Effect
@@ -141,7 +141,8 @@ def _history(
             # One test that states what cannot be used must not hide the others; its own page tells why.
             sheet = None
         copied = _copied(mine, name, first) if started else ""
-        tests.append({"campaign": name, "kind": kind, "started": started, "copy_of": copied, **_headline(sheet)})
+        told = {"campaign": name, "kind": kind, "moved": [*moved_in(mine)], "started": started, "copy_of": copied}
+        tests.append({**told, **_headline(sheet)})
         if started and not copied:
             point = Point(name, started, 0.0, 0.0, instrument_of(mine))
             _with_figures(series, sheet, kind, record, point)

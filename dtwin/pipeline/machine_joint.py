@@ -9,7 +9,7 @@ from dtwin.acquire.campaign_name import in_lake
 from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.kinds.registry import kind_named
-from dtwin.lake.rows import by_campaign, campaign_of
+from dtwin.lake.rows import by_campaign, campaign_of, moved_in
 from dtwin.lake.store import Lake
 from dtwin.machine_record import events_of
 from dtwin.physics.diagnose import diagnose
@@ -142,8 +142,7 @@ def newest_tests(rows: _Rows, machine: str) -> dict[str, list[Mapping[str, Any]]
         kind = str(mine[name][0]["kind"])
         kept_in = [row for row in mine[name] if not row["left_out"]]
         if kind_named(kind).offers("rows") and any(not row["n_errors"] for row in kept_in):
-            moved = {str(row["plane"] or row["condition_json"]) for row in kept_in}
-            newest[kind, tuple(sorted(moved))] = name
+            newest[kind, moved_in(kept_in)] = name
     return {name: mine[name] for name in newest.values()}
 
 

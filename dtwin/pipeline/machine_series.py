@@ -24,6 +24,7 @@ _RESTARTS = ("repair", "compensated", "moved")
 """Events after which another value is expected."""
 ALARMS = ("changed", "trend", "slow trend")
 """States of a series that are no rest, the most urgent first."""
+_WORST = ("outside", "cannot say", "inside", "")
 _MONTH = 30.44
 _LONGEST_FORECAST_DAYS = 3653.0
 
@@ -75,6 +76,18 @@ def judged_series(series: Sequence[Series], record: MachineRecord) -> list[dict[
     told = [_judged(one, record, length) for one in series]
     order = {"changed": 0, "trend": 1, "slow trend": 2, "steady": 3, "too few tests": 4}
     return sorted(told, key=lambda one: (order[one["state"]], -len(one["points"])))
+
+
+def worst_newest(tests: Sequence[Mapping[str, Any]]) -> Mapping[str, Any] | None:
+    """Return the test with the worst decision among those whose planes or axes no later one of their kind has measured.
+
+    ``tests``: of a machine's history, in order of time. Of equal decisions the newest; None without a figure.
+    """
+    newest: list[Mapping[str, Any]] = []
+    for test in reversed([one for one in tests if one["figure"]]):
+        if not any(test["kind"] == one["kind"] and {*test["moved"]} <= {*one["moved"]} for one in newest):
+            newest.append(test)
+    return min(newest, key=lambda test: _WORST.index(test["decision"]), default=None)
 
 
 def next_test(series: Sequence[Mapping[str, Any]], record: MachineRecord, last: str) -> dict[str, str]:

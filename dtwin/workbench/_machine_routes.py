@@ -19,11 +19,10 @@ from dtwin.pipeline.machine_history import drop_machine, machine_overviews
 from dtwin.pipeline.machine_joint import is_compared, machine_joint
 from dtwin.pipeline.machine_next import machine_next
 from dtwin.pipeline.machine_report import machine_report, overdue
-from dtwin.pipeline.machine_series import TESTS_PER_FALSE_ALARM, calendar_of
+from dtwin.pipeline.machine_series import TESTS_PER_FALSE_ALARM, calendar_of, worst_newest
 from dtwin.report.faults import title_of
 from dtwin.report.history_plots import chart_figure, series_figure
 from dtwin.report.pdf import pdf_of
-from dtwin.report.sheet import number_of
 from dtwin.units import shown_unit
 from dtwin.workbench._bench import Bench, Here
 from dtwin.workbench._jobs import Tell
@@ -203,19 +202,19 @@ def next_test_file(bench: Here, name: str) -> Response:
 
 @router.get("/api/machines/{name}/summary")
 def summary(bench: Here, name: str) -> dict[str, Any]:
-    """Return what the last test of a machine says, its values so far, its newest change, whether a test is due, and its champion."""
+    """Return the worst of the tests of a machine that no later one repeats, its values so far, what else its list shows."""
     history = bench.history(name)
-    tests = [test for test in history["tests"] if test["figure"]]
-    last = tests[-1] if tests else None
-    alike = [
-        test for test in tests if last is not None and (test["kind"], test["figure"]) == (last["kind"], last["figure"])
+    worst = worst_newest(history["tests"])
+    points = [
+        one["points"]
+        for one in history["series"]
+        if worst and (one["figure"], one["title"]) == (worst["figure"], worst["condition"])
     ]
-    values = [number_of(test, "value") for test in alike]
     current = [one["changes"][0]["text"] for one in history["series"] if one["state"] in ("changed", "trend")]
     return {
-        "last": last,
-        "values": values,
-        "unit": shown_unit(last["unit"]) if last else "",
+        "worst": worst,
+        "values": [point["value"] for point in points[0]] if points else [],
+        "unit": shown_unit(worst["unit"]) if worst else "",
         "changed": current[0] if current else "",
         "overdue": overdue(history),
         "champion": history["champion"],

@@ -24,7 +24,7 @@ from dtwin.lake.store import Lake
 from dtwin.machine_record import Event, MachineRecord, keep_record, read_record, tolerances_of, with_event
 from dtwin.pipeline.machine_history import machine_history
 from dtwin.pipeline.machine_report import tolerance_words
-from dtwin.pipeline.machine_series import Point, Series, calendar_of, judged_series, next_test
+from dtwin.pipeline.machine_series import Point, Series, calendar_of, judged_series, next_test, worst_newest
 from dtwin.pipeline.planned_tests import draft_of
 from dtwin.report.language import Language
 from dtwin.tolerances import Limits
@@ -383,6 +383,15 @@ def test_tests_of_two_instruments_are_compared(home: Home, tmp_path: Path) -> No
         slip = CliRunner().invoke(app, list(words))
         assert isinstance(slip.exception, InputError)
         assert (slip.exception.code, slip.exception.meant) == ("campaign.unknown", "t00")
+    # The list of machines shows what is worst of all that was not measured again, not what was measured last.
+    said("machine", "add", "mill-7", "--tolerance", "A=0.5")
+    history = machine_history(home, "mill-7")
+    worst = worst_newest(history["tests"])
+    assert worst is not None
+    assert (history["tests"][-1]["kind"], worst["campaign"], worst["decision"]) == ("circular", "laser-x", "outside")
+    again = {**worst, "campaign": "t01", "decision": "inside"}
+    assert worst_newest([*history["tests"], again]) is again
+    assert worst_newest([*history["tests"], {**again, "moved": ["Y"]}]) == worst
     other = write_laser(tmp_path / "elsewhere", "mill-8", "X", 0.0, 4.0)
     ingest(other, Lake(home.lake))
     refused = CliRunner().invoke(app, ["machine", "diagnose", "mill-7", "--campaign", "t00", "--campaign", "elsewhere"])

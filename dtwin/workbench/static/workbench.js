@@ -593,7 +593,7 @@ function watchDrop() {
   }
 }
 
-// ---- machines: what the last test of each says ----------------------------------------------------------
+// ---- machines: what the tests of each say ----------------------------------------------------------
 const WORST = ["outside", "overdue", "changed", "cannot say", "inside"];
 
 function sparkline(values, unit) {
@@ -617,10 +617,10 @@ async function fillMachine(row) {
   try {
     const found = await ask(`/api/machines/${encodeURIComponent(row.dataset.machine)}/summary`);
     cell("champion").textContent = found.champion;
-    if (!found.last) return;
-    cell("figure").textContent = `${found.last.figure} ${found.last.shown} ${found.unit}`;
+    if (!found.worst) return;
+    cell("figure").textContent = `${found.worst.figure} ${found.worst.shown} ${found.unit}`;
     if (found.values.length > 1) cell("values").append(sparkline(found.values, found.unit));
-    const words = [found.last.decision, found.overdue && "overdue", found.changed && "changed"].filter(Boolean);
+    const words = [found.worst.decision, found.overdue && "overdue", found.changed && "changed"].filter(Boolean);
     for (const word of words) {
       const tag = document.createElement("span");
       tag.className = `tag ${{ inside: "good", outside: "error" }[word] || "warning"}`;
@@ -628,7 +628,7 @@ async function fillMachine(row) {
       if (word === "changed") tag.title = found.changed;
       cell("decision").append(tag, " ");
     }
-    if (!found.last.decision) cell("decision").append(Object.assign(document.createElement("small"), { textContent: "no limits" }));
+    if (!found.worst.decision) cell("decision").append(Object.assign(document.createElement("small"), { textContent: "no limits" }));
     if (words.length) row.dataset.order = Math.min(...words.map((word) => WORST.indexOf(word)));
   } catch (error) {
     cell("decision").textContent = error.message.split("\n")[0];
