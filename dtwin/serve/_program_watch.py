@@ -84,7 +84,7 @@ _DEVICE = {
     ),
     "latched": (
         "too many faults; the correction was released and stays so",
-        "the session's reasons say which, on the Live page of dtwin ui or in its log below DTWIN_HOME/logs; serve again to arm it",
+        "the Live page of dtwin ui says which, and so does the session's log below DTWIN_HOME/logs; serve again to arm it",
     ),
     "diverged": (
         "the correction did not settle; it was released",

@@ -34,6 +34,14 @@ _EVENTS = ".events.jsonl"
 _SHOWN_S, _DRAWN_EVERY_S = 20.0, 0.5
 _BAND = slice(COLUMNS.index("band_x_um"), COLUMNS.index("band_z_um") + 1)
 # What the page shows of every session.
+_TRIPS = {
+    "stale": "the state of the machine came too late",
+    "stale_window": "the windows of the accelerometers came too late",
+    "not_finite": "what came was no number",
+    "impossible_state": "what came was no state of a machine",
+    "clock_jump": "the controller's clock jumped",
+}
+"""What counts towards a latch, in words."""
 _WHOLE = {"started", "duration_s", "ended", "clamp_um", "largest_um", "reasons"}
 _CORRECTION = slice(COLUMNS.index("correction_x_um"), COLUMNS.index("correction_z_um") + 1)
 
@@ -64,7 +72,7 @@ def live_page(request: Request, bench: Here) -> Response:
         unseen={machine: begun[machine] for machine in sorted(unseen)},
         states={s.machine: live_state(_board(s, home), time.monotonic()) for s in serving},
         seen=_seen(home),
-        sessions=[s | {"outside_share": _outside_share(s)} for s in sessions(home)],
+        sessions=[s | {"outside_share": _outside_share(s), "why": _latched_by(s)} for s in sessions(home)],
         events={s.machine: _newest_lines(events_path(home, s.machine))[::-1] for s in serving},
     )
 
@@ -180,6 +188,13 @@ def _outside_share(session: Mapping[str, Any]) -> float:
     """Return the share of a session's ticks outside the model's range; 0 when its log does not say."""
     ticks = (session.get("timing") or {}).get("ticks") or 0
     return (session.get("reasons") or {}).get("outside_box", 0) / ticks if ticks else 0.0
+
+
+def _latched_by(session: Mapping[str, Any]) -> str:
+    """Return in words which faults a session latched for; empty when it did not."""
+    reasons = session.get("reasons") or {}
+    told = [f"{said} ({reasons[name]} ticks)" for name, said in _TRIPS.items() if reasons.get(name)]
+    return "; ".join(told) if session.get("ended") == "latched" else ""
 
 
 @router.post("/api/live/{machine}/stop")

@@ -40,7 +40,7 @@ from dtwin.workbench._access import Access
 from dtwin.workbench._bench import Bench, Cache
 from dtwin.workbench._import_routes import _for_the_page
 from dtwin.workbench._jobs import Jobs, Tell
-from dtwin.workbench._live_routes import sessions
+from dtwin.workbench._live_routes import _latched_by, sessions
 from dtwin.workbench._plan_routes import experiment_documents, grids_of, plans_zip
 from dtwin.workbench._twin_routes import decimal
 from dtwin.workbench.server import Connection, application
@@ -439,6 +439,9 @@ def test_a_session_after_the_clock_was_set_back_is_the_newest_of_its_machine(tmp
         text = "\n".join(json.dumps({**line, "reasons": {}}) for line in lines)
         (home.logs / f"serve-{machine}.jsonl").write_text(text, encoding="utf-8")
     assert [one["started"] for one in sessions(home)] == [*begun["a"][::-1], *begun["b"]]
+    assert not _latched_by(sessions(home)[0])
+    latched = _latched_by({"ended": "latched", "reasons": {"stale": 5, "outside_box": 764}})
+    assert latched == "the state of the machine came too late (5 ticks)"
 
 
 def test_a_connection_that_asks_nothing_is_closed_and_slow_work_is_not(monkeypatch: pytest.MonkeyPatch) -> None:
