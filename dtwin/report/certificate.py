@@ -13,7 +13,7 @@ from dtwin.report.language import Language
 from dtwin.report.sheet import headline_budget, number_of, overview
 from dtwin.units import shown_unit
 
-_FIGURE_PX, _BESIDE_PX = 360, 280
+_FIGURE_PX, _ROUND_PX, _BESIDE_PX = 360, 420, 280
 """So that a picture and its table fit below the head of the first page; and beside each other."""
 _PAGE = """<!doctype html>
 <html lang="{{ language }}"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">
@@ -51,7 +51,7 @@ section { break-inside: avoid; } .sign { display: grid; grid-template-columns: 1
 <tbody>{% for row in budget[1] %}<tr><td>{{ tell(row[0]) }}</td><td>{{ tell(row[1]) }}</td><td class="from">{{ tell(row[2]) }}</td></tr>{% endfor %}</tbody></table></section>{% endif %}
 <h2>{{ say("Quality of the data") }}</h2>
 {% for severity, text, spoken in findings %}<p>{{ say(severity ~ ":") }} <span lang="{{ spoken }}">{{ text }}</span></p>{% else %}<p>{{ say("Nothing is wrong with the data.") }}</p>{% endfor %}
-<p class="note">{{ tell(sheet.basis) }}{% for text, spoken in notes %} <span lang="{{ spoken }}">{{ text }}</span>{% endfor %}{% if before %} {{ say("compared with") }} {{ before }}.{% endif %}{% if english %} {{ say("Notes are in English.") }}{% endif %}</p>
+<p class="note">{{ tell(sheet.basis) }}{% for text, spoken in notes %} <span lang="{{ spoken }}">{{ text }}</span>{% endfor %}{% if before %} {{ say("Compared with") }} {{ before }}.{% endif %}{% if english %} {{ say("Notes are in English.") }}{% endif %}</p>
 <div class="sign"><p>{{ say("operator") }}</p><p>{{ say("date and signature") }}</p></div>
 {{ drawing|safe }}</body></html>
 """
@@ -123,7 +123,8 @@ def _told(figure: go.Figure, words: Language, height_px: int) -> go.Figure:
     """Return a picture of that height in a language."""
     told = told_figure(figure, words.tell, words.point).update_layout(height=height_px)
     if height_px >= _FIGURE_PX:
-        return told
+        # The names of the rings of a small circle lie on each other.
+        return told.update_layout(height=_ROUND_PX, margin={"t": 60}) if told.layout.polar.radialaxis.ticktext else told
     return told.update_layout(
         title_text=told.layout.title.text.replace(", ", ",<br>"),
         title_font_size=10,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from datetime import datetime, timedelta
 from typing import Any
@@ -13,6 +14,7 @@ from dtwin.report.plots import COLOURS, styled
 
 _BAND, _FLOOR_BAND = "rgba(0,114,178,0.2)", "rgba(153,153,153,0.25)"
 
+_LINE_PX = 16
 _DAY_MS = 86_400_000
 _DAYS = [
     {"dtickrange": [None, _DAY_MS - 1], "value": "%H:%M\n%Y-%m-%d"},
@@ -53,9 +55,12 @@ def series_figure(series: Mapping[str, Any], events: Sequence[Mapping[str, Any]]
         if limit is not None:
             line = {"color": COLOURS["second"], "dash": "dash", "width": 1}
             figure.add_hline(y=limit, line=line, annotation_text=f"limit {limit:g}", annotation_position="top left")
+    told = Counter[str]()
     for event in events:
         figure.add_vline(x=event["on"], line={"color": COLOURS["floor"], "dash": "dot", "width": 1})
-        figure.add_annotation(x=event["on"], y=1.0, yref="paper", text=event["what"], showarrow=False, yanchor="bottom")
+        above = {"y": 1.0, "yref": "paper", "yanchor": "bottom", "yshift": _LINE_PX * told[event["on"]]}
+        figure.add_annotation(x=event["on"], text=event["what"], showarrow=False, **above)
+        told[event["on"]] += 1
     figure.update_layout(title=series["name"], yaxis_title=unit)
     # Below, so that the names of events stay above.
     return styled(_over_days(figure, days)).update_layout(legend={"y": -0.15, "yanchor": "top"})

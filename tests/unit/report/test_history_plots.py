@@ -39,6 +39,12 @@ def test_tests_of_several_days_take_the_room_they_need_and_months_are_numbers() 
     assert not [stop.value for stop in axis.tickformatstops if "%b" in stop.value]
 
 
+def test_events_of_one_day_stand_above_each_other() -> None:
+    events = [{"on": "2026-03-04", "what": what} for what in ("crash", "repair")]
+    named = series_figure(series(["2026-03-02T08:00:00"]), events).layout.annotations
+    assert sorted({note.yshift for note in named if note.text in ("crash", "repair")}) == [0, 16]
+
+
 def test_the_noise_floor_of_tests_is_drawn_about_each_level_and_named_once() -> None:
     days = [f"2025-{month:02d}-10T08:00:00+00:00" for month in range(1, 13)]
     values = [5.0, 5.2, 4.9, 5.1, 5.0, 4.8, 8.0, 8.1, 7.9, 8.0, 8.2, 8.1]
