@@ -330,6 +330,7 @@ def _series_lines(series: Sequence[Mapping[str, Any]]) -> list[str]:
     shown = [one for one in series if one["state"] in ("changed", "trend") or one["crossing"]] or series[:4]
     rows = [series_cells(one) for one in shown]
     lines += table(("figure", "state", "level", "noise floor", "since", "limit"), rows).splitlines()
-    if len(series) > len(shown):
-        lines.append(f"and {len(series) - len(shown)} more figures without a change (--json has all)")
+    more = len(series) - len(shown)
+    if more:
+        lines.append(f"and {more} more figure{'s' if more > 1 else ''} without a change (--json has all)")
     return lines

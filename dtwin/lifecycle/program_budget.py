@@ -13,6 +13,7 @@ import numpy as np
 from dtwin.errors import InputError
 from dtwin.lifecycle.gcode_compensation import Followed, outside
 from dtwin.lifecycle.gcode_program import Move, read_program
+from dtwin.physics.machine_terms import own_term
 from dtwin.physics.problem import Term
 from dtwin.physics.several_twin import SeveralTwin, joined
 from dtwin.physics.state import AXES_OF
@@ -85,7 +86,7 @@ def program_budget(twin: Twin, text: str, *, origin_mm: Floats, where: str) -> _
     ``where``: name of the program, for messages.
     Raises ``InputError`` when the twin has no circles, or the program says something that is not understood, has no motion at feed, or is too long.
     """
-    twin = of_circles(twin)
+    twin, terms = of_circles(twin), twin.terms
     motion, way, step_mm = _followed(text, origin_mm, where)
     not_told = {c.label: c.how for c in map(choose, twin.terms) if not c.included}
     does: dict[str, Floats] = {}
@@ -100,7 +101,8 @@ def program_budget(twin: Twin, text: str, *, origin_mm: Floats, where: str) -> _
             continue
         widths[term.label] = _widths_um(term, twin, motion)
     total = sum(does.values(), np.zeros(motion.position_mm.shape))
-    named = {term.label: (term.label, term.instance.effect.remedy) for term in twin.terms}
+    own = {term.label: own_term(term, terms) for term in twin.terms}
+    named = {label: (term.label, term.instance.effect.remedy) for label, term in own.items()}
     together = [width for one in widths.values() for width in one]
     causes = []
     for label, one in does.items():

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from dtwin.physics import localise
+from dtwin.physics.machine_terms import own_term
 from dtwin.physics.observations import Observations
 from dtwin.physics.problem import Term
 from dtwin.physics.twin import Twin
@@ -61,14 +63,17 @@ class Budget:
         return {**vars(self), "shares": [share.as_dict() for share in self.shares]}
 
 
-def budget(twin: Twin, obs: Observations) -> Budget:
+def budget(twin: Twin, obs: Observations, terms: Sequence[Term] = ()) -> Budget:
     """Return how much each effect of a twin makes of the error of a campaign.
 
     Effects may undo each other: shares are no parts of a sum.
 
     ``obs``: runs, not necessarily those of the fit.
+    ``terms``: of the twin of several campaigns that it is a part of, which name the causes.
     """
-    shares = sorted((_share(twin, term, obs) for term in twin.terms), key=lambda share: -share.rms_um[""])
+    shares = sorted(
+        (_share(twin, term, obs, own_term(term, terms)) for term in twin.terms), key=lambda share: -share.rms_um[""]
+    )
     every = sum((_does_um(twin, term, obs) for term in twin.terms), np.zeros(obs.y_um.shape))
     left = _without_setup(obs, obs.y_um - every)
     before = _without_setup(obs, obs.y_um)
@@ -82,7 +87,7 @@ def budget(twin: Twin, obs: Observations) -> Budget:
     )
 
 
-def _share(twin: Twin, term: Term, obs: Observations) -> Share:
+def _share(twin: Twin, term: Term, obs: Observations, named: Term) -> Share:
     columns = obs.regressors(term.instance, term.shape)
     values = twin.values(term)
     does = _without_setup(obs, columns @ values)
@@ -90,9 +95,9 @@ def _share(twin: Twin, term: Term, obs: Observations) -> Share:
     planes = np.array([obs.conditions[c].plane for c in obs.condition_of])
     by_plane = {p: obs.take(np.flatnonzero(planes == p)).rms(does[planes == p]) for p in obs.planes}
     return Share(
-        term.label,
-        f"{term.instance.effect.title} {term.instance.axis}".rstrip(),
-        term.instance.effect.remedy,
+        named.label,
+        f"{named.instance.effect.title} {named.instance.axis}".rstrip(),
+        named.instance.effect.remedy,
         {"": obs.rms(does), **by_plane},
         _uncertainty_um(twin, term, obs, columns, does),
         obs.rms(left),

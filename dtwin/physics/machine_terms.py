@@ -59,6 +59,11 @@ def key_of(term: Term) -> tuple[str, str]:
     return cause_of(term.instance.effect), term.instance.axis
 
 
+def own_term(term: Term, terms: Iterable[Term]) -> Term:
+    """Return the term of a machine that is the same thing as one of a campaign; that one where none is."""
+    return next((own for own in terms if key_of(own) == key_of(term)), term)
+
+
 def is_wave(term: Term) -> bool:
     """Tell whether campaigns share the amplitude of a term and nothing else."""
     return term.instance.effect.name in _WAVES

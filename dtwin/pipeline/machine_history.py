@@ -18,6 +18,7 @@ from dtwin.machine_record import MachineRecord, changed_since, drop_record, read
 from dtwin.physics.effect import Effect
 from dtwin.physics.fit import fit
 from dtwin.physics.library import Library
+from dtwin.physics.machine_terms import own_term
 from dtwin.physics.several_twin import SeveralTwin
 from dtwin.physics.twin import Twin
 from dtwin.pipeline.catalogue import Overview, TwinLine, catalogue, twin_lines
@@ -298,7 +299,7 @@ def _sizes(home: Home, campaign: str, stamp: str, twins: Sequence[Twin]) -> list
 
 def _fitted(home: Home, campaign: str, twin: Twin) -> list[list[Any]]:
     try:
-        obs = load(home, campaign).obs
+        obs, terms = load(home, campaign).obs, twin.terms
         if isinstance(twin, SeveralTwin):
             kinds = [about["kind"] for about in twin.about]
             pairs = zip(twin.parts, kinds, strict=True)
@@ -312,7 +313,8 @@ def _fitted(home: Home, campaign: str, twin: Twin) -> list[list[Any]]:
     rows: list[list[Any]] = []
     for term in twin.terms:
         effect, axis = term.instance.effect, term.instance.axis
-        title = f"{effect.title}, {axis}" if axis else effect.title
+        named = own_term(term, terms).instance.effect.title
+        title = f"{named}, {axis}" if axis else named
         mine = sizes_of([e for e in estimates if (e.effect, e.axis) == (effect.name, axis)])
         rows += [[title, name if len(mine) > 1 else "", value, spread, unit] for name, value, spread, unit in mine]
     return rows

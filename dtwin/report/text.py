@@ -141,10 +141,14 @@ def decimals(uncertainty: float) -> int:
     return min(max(1 - math.floor(math.log10(uncertainty)), 0), 4)
 
 
+_BOUNDS = {"low": "≥", "high": "≤"}
+
+
 def series_cells(one: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return a figure of a machine over time: name, state, level, noise floor, since when, and when its limit is reached."""
+    """Return a figure of a machine over time: name, state, level, noise floor, since when, its limit, and when that is reached."""
     crossing, unit = one["crossing"], one["unit"]
-    ahead = "-"
+    bounds = [f"{sign} {shown_number(one[side], 6)}" for side, sign in _BOUNDS.items() if one[side] is not None]
+    ahead = f"{', '.join(bounds)} {unit}" if bounds else "-"
     if crossing:
         limit = f"{shown_number(crossing['limit'], 6)} {unit}"
         ahead = f"reaches {limit} between {crossing['earliest']} and {crossing['latest']}"

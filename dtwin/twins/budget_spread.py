@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,7 +11,9 @@ import numpy as np
 
 from dtwin.physics import localise
 from dtwin.physics.budget import Budget, budget
+from dtwin.physics.machine_terms import own_term
 from dtwin.physics.observations import Observations
+from dtwin.physics.problem import Term
 from dtwin.physics.twin import Twin
 from dtwin.schema import Floats
 
@@ -31,16 +33,18 @@ class BudgetSpread:
     left_of_all: float
 
 
-def spread_budget(twin: Twin, obs: Observations) -> tuple[Budget, BudgetSpread]:
+def spread_budget(twin: Twin, obs: Observations, terms: Sequence[Term] = ()) -> tuple[Budget, BudgetSpread]:
     """Return how much each effect of a twin makes of the error of a campaign, and how sure that is.
 
     ``obs``: runs, not necessarily those of the fit; the unit of replication is the run.
+    ``terms``: of the twin of several campaigns that it is a part of, which name the causes.
     """
     parts: dict[str, dict[str, float]] = {}
     left: dict[str, float] = {}
     every, every_moved = np.zeros(obs.y_um.shape), list[Floats]()
     planes = np.array([obs.conditions[c].plane for c in obs.condition_of])
     for term in twin.terms:
+        label = own_term(term, terms).label
         columns = obs.regressors(term.instance, term.shape)
         does = columns @ twin.values(term)
         every += does
@@ -48,12 +52,12 @@ def spread_budget(twin: Twin, obs: Observations) -> tuple[Budget, BudgetSpread]:
         widths = [e.uncertainty for e in twin.estimates_of(term)]
         moved = [_without_setup(obs, columns[:, :, k] * width) for k, width in enumerate(widths)]
         rows = {p: planes == p for p in obs.planes}
-        parts[term.label] = {p: _moves_um(obs, kept, moved, mine) for p, mine in rows.items()}
+        parts[label] = {p: _moves_um(obs, kept, moved, mine) for p, mine in rows.items()}
         whole = np.ones(len(planes), bool)
         sizes = [_moves_um(obs, rest, moved, whole), _beside_um(obs, rest, moved), _repeats_um(obs, rest)]
-        left[term.label] = float(np.hypot.reduce(sizes))
+        left[label] = float(np.hypot.reduce(sizes))
         every_moved += moved
-    found = budget(twin, obs)
+    found = budget(twin, obs, terms)
     error, rest = (_without_setup(obs, y) for y in (obs.y_um, obs.y_um - every))
     sure = float(np.hypot(_beside_um(obs, rest, every_moved), _repeats_um(obs, rest)))
     return found, BudgetSpread(parts, left, _repeats_um(obs, error), sure)

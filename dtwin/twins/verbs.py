@@ -133,9 +133,10 @@ class Twins(TwinShelf):
             )
         obs = load(self.home, campaign or twin.campaign).obs
         require_same_machine(twin.name, twin.machine, obs.campaign.name, obs.campaign.machine)
+        terms = twin.terms
         if isinstance(twin, SeveralTwin):
             twin, _ = seen_in(twin, obs, self.library)
-        return spread_budget(twin, obs)
+        return spread_budget(twin, obs, terms)
 
     def diagnose(self, name: str, *, seed: int = 0) -> tuple[Twin, Diagnosis]:
         """Find out what a twin lacks; what was found out before, of the same version by the same code, is read again."""

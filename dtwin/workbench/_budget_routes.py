@@ -41,8 +41,8 @@ class _ProgramRequest(BaseModel):
 def budget_page(request: Request, bench: Here, name: str, on: str = "") -> Response:
     """Show what each cause makes of the error of measured paths, and of the program that was evaluated last."""
     view = reading.view(bench, name, on=on)
-    found, spread = bench.cache.get(("budget", *view.key), lambda: spread_budget(view.twin, view.obs))
     whole = paths_of(bench.home, bench.library, name)
+    found, spread = bench.cache.get(("budget", *view.key), lambda: spread_budget(view.twin, view.obs, whole.terms))
     diagnosis = reading.diagnosis_of(bench, name, whole.version)
     program = kept_already(bench.home, _KEPT, name)
     return rendered(

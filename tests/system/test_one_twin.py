@@ -238,9 +238,15 @@ def test_the_budget_of_a_program_is_on_the_page_of_a_twin(home: Home) -> None:
         assert any(line.startswith("backlash X: Preload") for line in lines)
     causes = said("twin", "budget", "several", "--program", str(part), "--origin", "120,80,0")["causes"]
     # 30 ppm over 40 mm at the sides, the mean square of a third of it between them.
-    assert [c["label"] for c in causes] == ["backlash X", "scale_mismatch X"]
+    assert [c["label"] for c in causes] == ["backlash X", "lead_error X"]
     assert causes[1]["rms_um"][""] == pytest.approx(1.2 * np.sqrt((2.0 / 3.0) * (1.0 / 3.0) + 1.0 / 3.0), abs=0.03)
     assert causes[1]["rms_um"]["YZ"] == 0.0
+    # What a ball bar calls otherwise has the twin's name on its circles, and in the machine's history, too.
+    assert [s["label"] for s in said("twin", "budget", "several", "--on", "bar")["shares"]] == [
+        c["label"] for c in causes
+    ]
+    (lead,) = [s for s in said("machine", "show", "mill-7")["series"] if s["title"] == "Lead error, X"]
+    assert {"bar", "laser-x"} <= {point["campaign"] for point in lead["points"]}
     printed("twin", "fit", "laser-x", "--effects", "lead_error", "--name", "strokes")
     assert refused("twin", "budget", "strokes", "--program", str(part)).code == "budget.circles"
     assert opened.post("/api/twins/parts/program", json={**told, "program": "G1 X\u00e4"}).status_code == 400

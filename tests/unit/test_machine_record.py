@@ -27,6 +27,7 @@ from dtwin.pipeline.machine_report import tolerance_words
 from dtwin.pipeline.machine_series import Point, Series, calendar_of, judged_series, next_test, worst_newest
 from dtwin.pipeline.planned_tests import draft_of
 from dtwin.report.language import Language
+from dtwin.report.text import series_cells
 from dtwin.tolerances import Limits
 from dtwin.twins.verbs import Twins
 
@@ -352,6 +353,7 @@ def test_what_leads_to_a_limit_is_not_called_steady() -> None:
     rising = [5.0, 5.0, 5.3, 5.2, 5.1, 5.4, 5.7, 5.7, 5.3, 5.2, 5.4, 5.7, 5.1, 5.7, 5.5, 5.7]
     told = _charted(rising, 10.0)
     assert told["crossing"]["limit"] == 10.0
+    assert series_cells({**told, "crossing": None})[-1] == "≤ 10 µm"
     assert told["state"] == "slow trend"
     due = next_test([told], MachineRecord("mill"), "")
     assert _in_german(f"The next test was due on {due['on']}: {due['why']}").endswith("die Grenze überschreiten")
