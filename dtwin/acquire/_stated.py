@@ -19,7 +19,7 @@ _COLDEST_C = -273.15
 _LONGEST = 400
 _AXIS = re.compile(r"[a-cu-z]\d?")
 _BY_DAY = re.compile(r"\d{4}-\d\d-\d\d")
-_OF_EVERY_KIND = {
+OF_EVERY_KIND = {
     "instrument": (
         "model serial certificate calibrated_on operator calibrator_temperature_c sample_rate_hz columns tolerances "
         "uncertainty_um uncertainty_arcsec uncertainty_um_per_m uncertainty_percent temperature_uncertainty_k "
@@ -132,7 +132,7 @@ def _require_not_mistyped(told: Mapping[str, Any], name: str, kind: Kind, where:
     """Refuse a name that is nearly one that is read: it would do nothing. Other names are notes, which are free."""
     table = name.rpartition(".")[2]
     own = (setting.split(".") for setting in kind.settings)
-    known = {*_OF_EVERY_KIND.get(table, "").split(), *(setting for where_read, setting in own if where_read == table)}
+    known = {*OF_EVERY_KIND.get(table, "").split(), *(setting for where_read, setting in own if where_read == table)}
     for key in sorted(set(told) - known):
         meant = [
             word

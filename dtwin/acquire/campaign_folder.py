@@ -153,12 +153,15 @@ def campaign_from(head: Mapping[str, Any], path: Path) -> Campaign:
     known = {field.name for field in fields(Campaign)}
     unknown = sorted(set(head) - known)
     if unknown:
+        # Tables of a campaign; a condition is of a run.
+        places = [t for t in ("instrument", "machine_geometry") if unknown[0] in stated.OF_EVERY_KIND[t].split()]
         raise InputError(
             "unknown setting of a campaign",
             code="campaign.setting",
             where=str(path),
             got=", ".join(unknown)[:120],
             allowed=", ".join(sorted(known)),
+            hint=", ".join(f"{unknown[0]} belongs in [campaign.{place}]" for place in places),
         )
     kind = head.get("kind", DEFAULT_KIND)
     if kind not in kind_names():

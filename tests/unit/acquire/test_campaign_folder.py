@@ -184,6 +184,9 @@ def test_a_campaign_file_of_windows_is_read_and_a_mistyped_setting_is_refused(tm
     with pytest.raises(InputError) as refused:
         open_campaign(where)
     assert (refused.value.code, refused.value.got) == ("campaign.setting", "startet")
+    (where / "campaign.toml").write_text(text.replace("[campaign]\n", '[campaign]\noperator = "A. B."\n'))
+    with pytest.raises(InputError, match=r"operator belongs in \[campaign.instrument\]"):
+        open_campaign(where)
 
 
 @pytest.mark.parametrize(
