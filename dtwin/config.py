@@ -55,6 +55,7 @@ SETTINGS: dict[str, tuple[str, str]] = {
         "none",
         "what is said to an MLflow server that asks for it; that of `dtwin up` wants the part after the colon of `DTWIN_HOME/prefect-auth`",
     ),
+    "MLFLOW_ALLOW_HTTP_REDIRECTS": ("false", "whether what is logged may go where an MLflow server sends it"),
     "DTWIN_MLFLOW": (
         "later",
         "`later`: MLflow is told of a twin's version in the background; `now`: before the command ends",
