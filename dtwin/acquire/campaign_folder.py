@@ -210,7 +210,8 @@ def entry_from(told: Any, number: int, path: Path) -> FolderEntry:
     )
 
 
-def _read_entry(entry: FolderEntry, campaign: Campaign) -> tuple[list[Run], list[RejectedRows]]:
+def _read_entry(entry: FolderEntry, campaign: Campaign, *, house: bool = False) -> tuple[list[Run], list[RejectedRows]]:
+    """Return what one file holds; ``house``: it is a foreign table in the house's columns already."""
     suffix = entry.file.suffix.lower()
     rate = entry.stated.get("sample_rate_hz", campaign.instrument.get("sample_rate_hz"))
     if rate is not None:
@@ -235,10 +236,10 @@ def _read_entry(entry: FolderEntry, campaign: Campaign) -> tuple[list[Run], list
     try:
         return _read_table(entry, campaign)
     except InputError as error:
-        if error.code not in ("columns.missing", "table.malformed"):
+        if house or error.code not in ("columns.missing", "table.malformed"):
             raise
         with house_file(entry.file, kind, entry.stated, campaign.instrument.get("columns", {}), error) as lone:
-            runs, kept = _read_entry(replace(entry, file=lone), campaign)
+            runs, kept = _read_entry(replace(entry, file=lone), campaign, house=True)
         return [replace(run, source=str(entry.file)) for run in runs], kept
 
 

@@ -463,6 +463,17 @@ def test_tables_of_another_program_in_a_campaign_folder(tmp_path: Path) -> None:
     assert len([run for found, _ in open_source(tmp_path)[1] for run in found]) == 4
 
 
+def test_a_foreign_table_without_a_clock_that_its_kind_needs_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "tone.csv").write_text("cmd Z [um];act Z [um]\n" + "1,0;2,0\n" * 50, "utf-8")
+    head = '[campaign]\nname = "c"\nmachine = "m"\nkind = "sinusoidal"\n[campaign.instrument.columns]\n'
+    run = '[[run]]\nid = "r"\nfile = "tone.csv"\ncondition = { frequency_hz = 1.0, amplitude_um = 2.0 }\n'
+    columns = '"cmd Z [um]" = "cmd_z_mm"\n"act Z [um]" = "act_z_mm"\n'
+    (tmp_path / "campaign.toml").write_text(head + columns + run, "utf-8")
+    with pytest.raises(InputError) as refused:
+        list(open_source(tmp_path)[1])
+    assert (refused.value.code, refused.value.where) == ("columns.missing", str(tmp_path / "tone.csv"))
+
+
 @pytest.mark.parametrize(("answer", "factor"), [("deviation_um", 1.0), ("deviation_mm", 1000.0)])
 def test_an_answer_has_the_unit_of_the_file(tmp_path: Path, answer: str, factor: float) -> None:
     path = tmp_path / "c.csv"
