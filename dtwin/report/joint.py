@@ -57,7 +57,8 @@ def _contradiction(shared: _Told, events: Sequence[Event]) -> str:
     days = sorted(size["started"] for size in shared["sizes"] if size["campaign"] in (first, second))
     between = tuple(days) if len(days) == 2 and days[0] else ()
     told = [[e.as_dict() for e in events_between(events, *between)]] if between else []
-    one, other = (size["value"] for name in (first, second) for size in shared["sizes"] if size["campaign"] == name)
+    value = {size["campaign"]: size["value"] for size in shared["sizes"]}
+    one, other = value[first], value[second]
     opposite = (
         " Equal and opposite: directions, or signs, may be exchanged in one of the files."
         if abs(one + other) < _OPPOSITE * abs(one - other)
