@@ -286,7 +286,7 @@ def chosen_terms(names: Sequence[str], library: Mapping[str, Effect], obs: Obser
                 "an effect cannot act in this campaign",
                 code="effect.where",
                 got=f"{name} {where}".strip(),
-                allowed=_allowed(possible, name, effect, obs),
+                allowed=_allowed(possible, effect, where, obs),
             )
         out += [Term(i, i.effect.start_shape) for i in here]
     seen: dict[str, Term] = {}
@@ -302,11 +302,16 @@ def acts(obs: Observations, instance: Instance) -> bool:
     return bool(obs.regressors(instance, instance.effect.start_shape).any())
 
 
-def _allowed(possible: Sequence[Instance], name: str, effect: Effect, obs: Observations) -> str:
+def _allowed(possible: Sequence[Instance], effect: Effect, where: str, obs: Observations) -> str:
     absent = [n for n in effect.needs if n not in obs.logged]
     if absent:
         return f"campaigns that log {', '.join(absent)}"
-    axes = [i.axis for i in possible if i.effect.name == name]
+    axes = [i.axis for i in possible if i.effect.name == effect.name]
     if not axes:
         return f"campaigns of kind {', '.join(effect.kinds)}"
+    silent = [n for n in effect.stated if n not in obs.campaign.machine_geometry]
+    if silent:
+        return f"campaigns that state machine_geometry.{', machine_geometry.'.join(silent)}"
+    if where in ("", *axes):
+        return f"runs in which it does something; {effect.separate_by[:1].lower()}{effect.separate_by[1:]}"
     return "on " + ", ".join(a or "the machine" for a in axes)

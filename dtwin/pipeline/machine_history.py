@@ -19,6 +19,7 @@ from dtwin.physics.effect import Effect
 from dtwin.physics.fit import fit
 from dtwin.physics.library import Library
 from dtwin.physics.machine_terms import own_term
+from dtwin.physics.problem import Term
 from dtwin.physics.several_twin import SeveralTwin
 from dtwin.physics.twin import Twin
 from dtwin.pipeline.catalogue import Overview, TwinLine, catalogue, twin_lines
@@ -290,16 +291,20 @@ def _append(
 def _sizes(home: Home, campaign: str, stamp: str, twins: Sequence[Twin]) -> list[list[Any]]:
     """Return title, parameter, value, uncertainty (k = 2) and unit of the effects of twins, fitted to this campaign alone."""
     by_effect: dict[tuple[str, str], list[Any]] = {}
+    # One name for each cause, whichever twin it is in: that of a twin of several tests, where there is one.
+    ordered = sorted(twins, key=lambda twin: not isinstance(twin, SeveralTwin))
+    named = [term for twin in ordered for term in twin.terms]
     for twin in twins:
-        terms = [(t.label, dict(t.shape)) for t in twin.terms]
-        made = kept(home, f"sizes/{twin.name}", campaign, f"{stamp} {terms}", partial(_fitted, home, campaign, twin))
+        terms = [(t.label, dict(t.shape), own_term(t, named).label) for t in twin.terms]
+        fitted = partial(_fitted, home, campaign, twin, named)
+        made = kept(home, f"sizes/{twin.name}", campaign, f"{stamp} {terms}", fitted)
         by_effect |= {(row[0], row[1]): row for row in made}
     return list(by_effect.values())
 
 
-def _fitted(home: Home, campaign: str, twin: Twin) -> list[list[Any]]:
+def _fitted(home: Home, campaign: str, twin: Twin, named: Sequence[Term]) -> list[list[Any]]:
     try:
-        obs, terms = load(home, campaign).obs, twin.terms
+        obs = load(home, campaign).obs
         if isinstance(twin, SeveralTwin):
             kinds = [about["kind"] for about in twin.about]
             pairs = zip(twin.parts, kinds, strict=True)
@@ -307,14 +312,16 @@ def _fitted(home: Home, campaign: str, twin: Twin) -> list[list[Any]]:
             if not alike:
                 return []
             twin = alike[-1]
+        if any(obs.grid.kind not in term.instance.effect.kinds for term in twin.terms):
+            return []
         estimates = fit(obs, twin.terms).estimates
     except InputError:  # Of another kind, or of planes and axes that the twin does not have.
         return []
     rows: list[list[Any]] = []
     for term in twin.terms:
         effect, axis = term.instance.effect, term.instance.axis
-        named = own_term(term, terms).instance.effect.title
-        title = f"{named}, {axis}" if axis else named
+        title = own_term(term, named).instance.effect.title
+        title = f"{title}, {axis}" if axis else title
         mine = sizes_of([e for e in estimates if (e.effect, e.axis) == (effect.name, axis)])
         rows += [[title, name if len(mine) > 1 else "", value, spread, unit] for name, value, spread, unit in mine]
     return rows

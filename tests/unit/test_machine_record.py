@@ -370,12 +370,16 @@ def test_a_calendar_file_folds_long_lines() -> None:
 
 def test_tests_of_two_instruments_are_compared(home: Home, tmp_path: Path) -> None:
     # Steps outwards, as of a table that comes late.
-    (bar,) = write_tests(tmp_path / "bar", 1, steady(-4.0), steady(3.0))
+    bar, later = write_tests(tmp_path / "bar", 2, steady(-4.0), steady(3.0))
     ingest(bar, Lake(home.lake))
     alone = CliRunner().invoke(app, ["machine", "diagnose", "mill-7"])
     assert alone.exit_code == 1
     assert "there are not two tests to compare" in str(alone.exception)
-    ingest(write_laser(tmp_path / "laser-x", "mill-7", "X", 0.0, 4.0), Lake(home.lake))
+    laser = write_laser(tmp_path / "laser-x", "mill-7", "X", 0.0, 4.0)
+    stated = (laser / "campaign.toml").read_text(encoding="utf-8")
+    pitch = stated.replace("[[run]]", "[campaign.machine_geometry]\nscrew_pitch_mm = 7.0\n[[run]]", 1)
+    (laser / "campaign.toml").write_text(pitch, encoding="utf-8")
+    ingest(laser, Lake(home.lake))
     told = cast(dict[str, Any], said("machine", "diagnose", "mill-7"))
     assert {t["kind"] for t in told["tests"]} == {"circular", "linear"}
     (shared,) = [s for s in told["shared"] if s["cause"] == "backlash"]
@@ -394,6 +398,14 @@ def test_tests_of_two_instruments_are_compared(home: Home, tmp_path: Path) -> No
     again = {**worst, "campaign": "t01", "decision": "inside"}
     assert worst_newest([*history["tests"], again]) is again
     assert worst_newest([*history["tests"], {**again, "moved": ["Y"]}]) == worst
+    # One series for each cause, whatever the twin of circles and that of strokes call it.
+    ingest(later, Lake(home.lake))
+    Twins(home).fit("t00", ["cyclic_error:X"], "circles")
+    Twins(home).fit("laser-x", ["screw_error:X"], "axis")
+    series = machine_history(home, "mill-7")["series"]
+    assert [(s["title"], len(s["points"])) for s in series if "error" in s["title"]] == [
+        ("Screw error within a turn, X", 3)
+    ]
     other = write_laser(tmp_path / "elsewhere", "mill-8", "X", 0.0, 4.0)
     ingest(other, Lake(home.lake))
     refused = CliRunner().invoke(app, ["machine", "diagnose", "mill-7", "--campaign", "t00", "--campaign", "elsewhere"])
