@@ -33,6 +33,8 @@ _WAVE = "wave_mm"
 _ALONE = 0.5
 # A curve of so many numbers that is less than so many times what is left may follow that.
 _MANY, _MUCH_LARGER = 3, 3.0
+# Amplitudes and shapes of an answer to tones.
+_MANY_IN_TONES, _LARGER = 5, 1.2
 # A curve is no part of what laws of one place leave, if it is so much of what they explain.
 _OF_PLACES = 0.17
 # What changes with the feed at this p-value, by however little.
@@ -89,19 +91,26 @@ def is_dwarfed(effect: Found, found: Search) -> bool:
     return certain and effect.size_um < _DWARFED * found.systematic_um[-1]
 
 
-def follows_unknown(effect: Found, tests: Sequence[LawTest], found: Search) -> bool:
-    """Tell whether an effect of the place may, on circles, be drawn through something unknown that is left.
+def follows_unknown(effect: Found, tests: Tests, found: Search) -> bool:
+    """Tell whether an effect of the place on circles, or any in tones, may be drawn through something unknown that is left.
 
     A smooth curve of many numbers follows anything. What is the same at every feed, by its law, and is not quite, is the mean of
-    something that is not.
+    something that is not. In tones it is an answer of many numbers, no simpler one in its group, that is not larger than what is left.
     """
     first_um, left_um = found.systematic_um
     certain = found.lack_of_fit[-1] <= LACK_OF_FIT and left_um > SPOKEN_OF * first_um
-    term = effect.top.term
-    if not certain or found.plain.obs.there_and_back or term.instance.effect.law.feed != 0.0:
+    term, obs = effect.top.term, found.plain.obs
+    if not certain or obs.there_and_back:
         return False
-    many = effect.candidates.numbers(term) - len(term.instance.effect.shapes) >= _MANY
-    moves = any(t.variable == "feed" and t.p_value < _MOVES for t in tests)
+    numbers = effect.candidates.numbers(term)
+    if not obs.grid.in_plane:
+        alone = len(survivors(effect, tests[effect.label])) == 1
+        return alone and numbers >= _MANY_IN_TONES and effect.size_um < _LARGER * left_um
+    if term.instance.effect.law.feed != 0.0:
+        return False
+    many = numbers - len(term.instance.effect.shapes) >= _MANY
+    own = tests[effect.label][effect.label]
+    moves = any(t.variable == "feed" and t.p_value < _MOVES for t in own)
     return (many or moves) and effect.size_um < _MUCH_LARGER * left_um
 
 

@@ -191,8 +191,8 @@ def applicable(
         silent = [name for name in effect.stated if name not in geometry]
         if silent:
             untestable[instance.label] = f"{', '.join(silent)} is not stated in the machine's geometry"
-        elif effect.by_radius and obs.grid.in_plane and len({c.radius_mm for c in obs.conditions}) == 1:
-            untestable[instance.label] = "the radius was not changed"
+        elif effect.told_by and len({c.swept.get(effect.told_by) for c in obs.conditions}) == 1:
+            untestable[instance.label] = f"the {effect.told_by} was not changed"
         elif absent:
             untestable[instance.label] = f"{', '.join(absent)} was not logged"
         elif effect.within_condition and _never_changed(obs, effect):

@@ -268,7 +268,7 @@ def _concluded(
         for f in trusted(found, doubts, much)
         if (much or not is_dwarfed(f, found))
         and (f.label in believed or f.size_um >= least_um)
-        and not follows_unknown(f, tests[f.label][f.label], found)
+        and not follows_unknown(f, tests, found)
     ]
     kept = [] if none else standing_alone(kept, found, unweighted(obs, [*known, *unknown]), candidates)
     if obs.grid.in_plane and (len(kept) < len(found.found) or found.lack_of_fit[1] <= LACK_OF_FIT):

@@ -116,7 +116,7 @@ class Effect:
         also_tried_on: Kinds of campaign for which it does; empty for all.
         needs: Logged columns without which it cannot be judged.
         stated: What the geometry of the machine must state, without which it cannot be judged.
-        by_radius: Only circles of several radii tell it from other curves: it is not tried on those of one.
+        told_by: What must have been changed to tell it from others, as conditions call it: radius, amplitude. Else it is not tried.
         setup: Belongs to the mounting of the instrument: always fitted, never a missing effect.
         within_condition: Differs between repeats of a condition, as heat and time do.
         on_spread: Shows in the spread of repeats and not in their mean.
@@ -156,7 +156,7 @@ class Effect:
     cause: str = ""
     correctable: str = ""
     group: str = ""
-    by_radius: bool = False
+    told_by: str = ""
     setup: bool = False
     within_condition: bool = False
     on_spread: bool = False

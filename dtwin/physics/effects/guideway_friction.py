@@ -42,6 +42,12 @@ EFFECT = Effect(
         ShapeParameter("loop_hz", "Hz", 80.0, (50.0, 80.0, 130.0, 210.0)),
         ShapeParameter("damping", "1", 0.3, (0.15, 0.5)),
     ),
+    # From small slides to tables of machines.
+    also_tried=tuple(
+        {"presliding_um": travel_um, "loop_hz": loop_hz, "damping": 0.3}
+        for travel_um, loops_hz in ((0.4, (15.0, 500.0)), (6.0, (15.0, 50.0, 130.0)), (25.0, (15.0, 50.0, 130.0)))
+        for loop_hz in loops_hz
+    ),
     confusables=("backlash", "tracking_delay"),
     correctable="A pulse or offset at each reversal; better friction compensation in the loop.",
 )

@@ -45,6 +45,6 @@ EFFECT = Effect(
     reference="ISO 230-1, straightness error motion",
     shapes=(ShapeParameter("wave_mm", "mm", 200.0, _WAVES_MM, (20.0, 400.0), step_on_circles=2), OVER),
     confusables=("guideway_shape", "straightness", "instrument_artefact", "pitch_error"),
-    by_radius=True,
+    told_by="radius",
     correctable="A compensation value of the control, or an offset of position.",
 )

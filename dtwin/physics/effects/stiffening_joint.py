@@ -37,6 +37,11 @@ EFFECT = Effect(
         ShapeParameter("damping", "1", 0.05, (0.03, 0.1)),
         ShapeParameter("stiffening", "1", 0.1, (0.05, 0.1, 0.2)),
     ),
+    also_tried=tuple(
+        {"frequency_hz": frequency_hz, "damping": 0.05, "stiffening": 0.1}
+        for frequency_hz in (12.0, 30.0, 250.0, 500.0)
+    ),
     confusables=("structural_mode", "servo_response"),
+    told_by="amplitude",
     correctable="A correction as a function of frequency and amplitude.",
 )
