@@ -7,7 +7,7 @@ from mkdocs.structure.files import File, Files
 
 from dtwin.physics.effect import Effect
 from dtwin.physics.library import Library
-from dtwin.report.faults import signature_caption, signature_svg
+from dtwin.report.signatures import signature_caption, signature_svg
 from dtwin.units import shown_unit
 
 

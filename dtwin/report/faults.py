@@ -1,27 +1,23 @@
-"""The faults of a machine in the words of the shop: what, how large, how it shows, what to do, effects in their order and how they look round a circle."""
+"""The faults of a machine in the words of the shop: what, how large, how it shows, what to do, and effects in their order."""
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Protocol, TypeVar
-
-import numpy as np
+from operator import attrgetter
+from typing import Any, TypeVar
 
 from dtwin.physics.budget import Budget
 from dtwin.physics.effect import Effect
 from dtwin.physics.fit import Estimate
-from dtwin.physics.gridding import CIRCLE
-from dtwin.physics.library import campaign_instances
 from dtwin.physics.machine_terms import key_of
 from dtwin.physics.problem import Term
 from dtwin.physics.several_twin import SeveralTwin
-from dtwin.physics.state import State, circular_state
 from dtwin.physics.twin import Twin
+from dtwin.report.signatures import signature_svg
 from dtwin.report.text import decimals, listed
-from dtwin.schema import Direction, Floats, Plane, RunMeta
 from dtwin.units import shown_number, shown_unit
 
 AS_ZERO = "These runs do not tell it from zero."
@@ -34,16 +30,17 @@ _LABEL = re.compile(r"\b[a-z]+(?:_[a-z]+)*\b(?: [A-Z]{1,2}\b)?")
 class _Fault:
     """One effect of a twin.
 
-    ``effect``, ``axis``: as the library names them.
+    ``effect``, ``axis``, ``group``: as the library names them.
     ``title``: in words, with the axis.
     ``size``: with k = 2 and unit; says so when the runs do not tell it.
     ``shows``, ``remedy``: how it is seen in a plot, and what to do at the machine.
-    ``picture``: its signature as SVG; empty when it has none on a circle.
+    ``picture``: its signature as SVG.
     ``instead``: titles of what the runs cannot tell from it.
     """
 
     effect: str
     axis: str
+    group: str
     title: str
     size: str
     shows: str
@@ -153,6 +150,8 @@ def in_titles(text: str, library: Mapping[str, Effect]) -> str:
 def found_faults(diagnosis: Mapping[str, Any], library: Mapping[str, Effect]) -> list[list[_Fault]]:
     """Return what a diagnosis found, most first, as faults: of each group the names that these runs do not tell apart.
 
+    Effects on which the spread of repeats depends come last.
+
     ``diagnosis``: as ``as_dict`` of a diagnosis gives it; sizes are of each name alone in the place of the group.
     """
     groups = []
@@ -167,13 +166,22 @@ def found_faults(diagnosis: Mapping[str, Any], library: Mapping[str, Effect]) ->
                 own = [e for e in sizes if (e.effect, e.axis) == (suspect["effect"], suspect["axis"])]
                 faults.append(_fault(library[suspect["effect"]], suspect["axis"], own))
         groups.append(faults)
+    for name, _, axis in (label.partition(" ") for label in diagnosis.get("variance", {}).get("depends_on", ())):
+        groups.append([_fault(library[name], axis, ())] if name in library else [])
     return [faults for faults in groups if faults]
 
 
 def _fault(effect: Effect, axis: str, estimates: Sequence[Estimate]) -> _Fault:
     picture = signature_svg(effect, axis, _PICTURE_PX)
     return _Fault(
-        effect.name, axis, _title(effect, axis), size_of(estimates), effect.looks_like, effect.remedy, picture
+        effect.name,
+        axis,
+        effect.group,
+        _title(effect, axis),
+        size_of(estimates),
+        effect.looks_like,
+        effect.remedy,
+        picture,
     )
 
 
@@ -237,135 +245,14 @@ _ORDER = ("geometry", "drive", "dynamics", "heat", "instrument")
 _OWN = "your own"
 
 
-class _Grouped(Protocol):
-    @property
-    def group(self) -> str: ...
+_Told = TypeVar("_Told")
 
 
-_Effect = TypeVar("_Effect", bound=_Grouped)
-
-
-def grouped(effects: Iterable[_Effect]) -> list[tuple[str, list[_Effect]]]:
-    """Return effects by group, empty groups left out; those of the user's own groups, or of none, come last."""
-    of_group: dict[str, list[_Effect]] = {group: [] for group in _ORDER}
-    for effect in effects:
-        of_group.setdefault(effect.group or _OWN, []).append(effect)
-    return [(group, some) for group, some in of_group.items() if some]
-
-
-# Circle on which signatures are drawn.
-_RADIUS_MM, _FEED_MM_MIN = 100.0, 3000.0
-_ROBOT = {"type": "ur10e", "centre_mm": [-550.0, 0.0, 300.0], "tcp_mm": [0.0, 0.0, 158.3]}
-_REACH_MM, _TURNS_RAD_S = 20.0, 2.0 * np.pi * 5.0
-_SIZE, _CIRCLE, _DRAWN, _POINTS = 300, 100, 28, 720
-_COLOURS = {"CCW": "#0072B2", "CW": "#D55E00"}
-_LOGGED = ("temperature_c", "temperature_rise_c", "abbe_offset_mm", "time_h", "setup_first_um", "setup_second_um")
-
-
-def _signature(effect: Effect, axis: str = "") -> tuple[str, dict[str, Floats]]:
-    """Return label and error of the first parameter of an effect by direction, each of shape (n,) over one turn.
-
-    ``effect``: one of a circle; other ones have no curves, and neither have those that change only the spread.
-    ``axis``: on which axis; else the first on which it shows.
-    """
-    if CIRCLE.kind not in effect.kinds or effect.on_spread:
-        return effect.name, {}
-    plane: Plane = "ZX" if effect.name == "gravity_sag" or axis == "Z" else "XY"
-    wanted = campaign_instances({effect.name: effect}, CIRCLE.kind, [plane], list(plane), _ROBOT)
-    angle = _angle()
-    columns = {name: np.ones(_POINTS) for name in _LOGGED}
-    ways: tuple[Direction, Direction] = ("CCW", "CW")
-    for instance in sorted(wanted, key=lambda i: i.axis != axis):
-        curves: dict[str, Floats] = {}
-        for way in ways:
-            meta = RunMeta("r", plane=plane, direction=way, radius_mm=_RADIUS_MM, feed_mm_min=_FEED_MM_MIN)
-            state = circular_state(meta, angle, feed_mm_s=_FEED_MM_MIN / 60.0, columns=columns, geometry=_ROBOT)
-            curves[way] = effect.columns(state, instance.axis, effect.start_shape)[:, 0]
-        if any(c.any() for c in curves.values()):
-            return instance.label, curves
-    return effect.name, {}
-
-
-def _along(effect: Effect) -> dict[str, Floats]:
-    """Return the error of the first parameter of an effect on the way forth and back along an axis, each of shape (n,).
-
-    The axis swings by a sine, one period; both are in the order of its position. Curves that are zero are none.
-    """
-    if effect.on_spread:
-        return {}
-    phase = _angle()
-    at, way = -_REACH_MM * np.cos(phase), np.sign(np.sin(phase))
-    state = State(
-        kind=effect.kinds[0],
-        axes=("X",),
-        plane="",
-        position_mm={"X": at},
-        velocity_mm_s={"X": _REACH_MM * _TURNS_RAD_S * np.sin(phase)},
-        acceleration_mm_s2={"X": -at * _TURNS_RAD_S**2},
-        sensitivity={"X": np.ones(_POINTS)},
-        since_reversal_s={"X": phase % np.pi / _TURNS_RAD_S},
-        last_end={"X": -way},
-        angle_rad=phase,
-        radius_mm=_REACH_MM,
-        feed_mm_s=_REACH_MM * _TURNS_RAD_S,
-        direction=1.0,
-        columns={name: np.ones(_POINTS) for name in _LOGGED},
-        geometry={"screw_pitch_mm": _REACH_MM / 2.0},
-    )
-    # Effects of sweeps take the direction from the state, those of tones from the speed of a whole period.
-    forth, back = (
-        effect.columns(replace(state, direction=sense), "X", effect.start_shape)[:, 0].reshape(2, -1)[half]
-        for half, sense in enumerate((1.0, -1.0))
-    )
-    return {"forward": forth, "reverse": back[::-1]} if forth.any() or back.any() else {}
-
-
-def signature_svg(effect: Effect, axis: str = "", width: int = _SIZE) -> str:
-    """Return the signature as an SVG picture, empty when there is none: CCW blue, CW orange and dashed.
-
-    An effect that no circle shows is drawn along an axis that swings, forward blue, reverse orange and dashed.
-    """
-    label, curves = _signature(effect, axis)
-    round_circle = bool(curves)
-    curves = curves or _along(effect)
-    if not curves:
-        return ""
-    largest = max(float(np.abs(c).max()) for c in curves.values())
-    middle, angle = _SIZE / 2, _angle()
-    across = middle - _CIRCLE * np.cos(angle[: _POINTS // 2])
-    # About one pixel as it is shown; small ones would hide their own shape.
-    wide = 1.5 * _SIZE / max(width, 100)
-    said = f"{label} round the circle" if round_circle else f"{effect.name} along an axis"
-    nominal = (
-        f'circle cx="{middle}" cy="{middle}" r="{_CIRCLE}" fill="none"'
-        if round_circle
-        else f'line x1="{across[0]}" x2="{across[-1]}" y1="{middle}" y2="{middle}"'
-    )
-    parts = [
-        f'<svg viewBox="0 0 {_SIZE} {_SIZE}" width="{width}" role="img" aria-label="error of {said}">',
-        f'<{nominal} stroke="#999" stroke-dasharray="3 3"/>',
-    ]
-    for colour, (way, curve) in zip(_COLOURS.values(), curves.items(), strict=False):
-        x, y = across, middle - 0.8 * _CIRCLE * curve / largest
-        if round_circle:
-            radius = _CIRCLE + _DRAWN * curve / largest
-            x, y = middle + radius * np.cos(angle), middle - radius * np.sin(angle)
-        path = " ".join(f"{a:z.1f},{b:z.1f}" for a, b in zip(x, y, strict=True))
-        dash = f' stroke-dasharray="{4 * wide:z.1f} {2 * wide:z.1f}"' if way in ("CW", "reverse") else ""
-        drawn = f'points="{path}" fill="none" stroke="{colour}" stroke-width="{wide:z.1f}"{dash}'
-        parts.append(f"<{'polygon' if round_circle else 'polyline'} {drawn}/>")
-    return "".join([*parts, "</svg>"])
-
-
-def signature_caption(effect: Effect) -> str:
-    """Return what the picture of a signature shows."""
-    if _signature(effect)[1]:
-        return (
-            f"First parameter at R = {_RADIUS_MM:g} mm, F = {_FEED_MM_MIN:g} mm/min: counter-clockwise blue, "
-            "clockwise orange and dashed; dotted: the nominal circle."
-        )
-    return "First parameter along an axis that swings: forward blue, reverse orange and dashed; dotted: no error."
-
-
-def _angle() -> Floats:
-    return np.asarray((np.arange(_POINTS) + 0.5) * 2 * np.pi / _POINTS)
+def grouped(
+    some: Iterable[_Told], group: Callable[[_Told], str] = attrgetter("group")
+) -> list[tuple[str, list[_Told]]]:
+    """Return effects, or what is told of them, by group, empty groups left out; the user's own groups, or none, come last."""
+    of_group: dict[str, list[_Told]] = {known: [] for known in _ORDER}
+    for one in some:
+        of_group.setdefault(group(one) or _OWN, []).append(one)
+    return [(name, told) for name, told in of_group.items() if told]

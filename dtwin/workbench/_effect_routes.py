@@ -18,7 +18,7 @@ from dtwin.physics.gridding import fine_angle_rad
 from dtwin.physics.library import Library, instances
 from dtwin.physics.state import circular_state
 from dtwin.physics.template import template
-from dtwin.report.faults import signature_caption, signature_svg
+from dtwin.report.signatures import signature_caption, signature_svg
 from dtwin.report.text import effect_text
 from dtwin.schema import RunMeta, require_name
 from dtwin.workbench._bench import Bench, Here

@@ -18,7 +18,7 @@ from dtwin.physics.several_twin import SeveralTwin
 from dtwin.physics.twin import Twin
 from dtwin.pipeline.twin_report import twin_report
 from dtwin.report.encoder_split import encoder_section, tells
-from dtwin.report.faults import faults, found_faults, not_told, title_of
+from dtwin.report.faults import faults, found_faults, grouped, not_told, title_of
 from dtwin.report.pdf import pdf_of
 from dtwin.report.several import contradiction_lines
 from dtwin.report.twin_of_kind import report_of, with_nan
@@ -113,8 +113,12 @@ def diagnose_page(request: Request, bench: Here, name: str) -> Response:
         found=found_table(diagnosis or {}),
         left=left_of(diagnosis or {}),
         reported={f"{c['effect']} {c['axis']}".strip() for group in (diagnosis or {}).get("found", ()) for c in group},
-        faults=faults(twin, diagnosis, bench.library),
-        missing=found_faults(diagnosis or {}, bench.library),
+        faults=grouped([[fault] for fault in faults(twin, diagnosis, bench.library)], lambda alike: alike[0].group),
+        missing=grouped(found_faults(diagnosis or {}, bench.library), lambda alike: alike[0].group),
+        offered=grouped(
+            (diagnosis or {}).get("candidates", ()),
+            lambda c: bench.library[c["effect"]].group if c["effect"] in bench.library else "",
+        ),
         not_told=not_told(diagnosis or {}, bench.library),
         together=report_of(diagnosis).diagnosis_section(name, with_nan(diagnosis))
         if diagnosis and "campaigns" in diagnosis

@@ -520,6 +520,7 @@ def test_one_button_finds_and_adds_all_that_the_runs_can_tell(page: Page, bench:
     page.get_by_role("button", name="Diagnose").click()
     table = page.get_by_role("table", name="Found together")
     expect(table.get_by_role("row")).to_have_count(4)
+    expect(page.locator(".verdict h3")).to_have_text(["Geometry", "Drive"])
     page.screenshot(path=artifacts / "found.png", full_page=True)
     page.get_by_role("button", name="Find and add all").click()
     page.wait_for_url("**/twins/bare/versions")

@@ -12,8 +12,9 @@ from defusedxml.ElementTree import fromstring
 from dtwin.kinds.volumetric.motions import FAMILIES
 from dtwin.physics.fit import Estimate
 from dtwin.physics.library import Library
-from dtwin.report.faults import grouped, in_titles, signature_svg, size_of, sizes_of, undecided_lines
+from dtwin.report.faults import found_faults, grouped, in_titles, size_of, sizes_of, undecided_lines
 from dtwin.report.plots import polar_rings
+from dtwin.report.signatures import signature_svg
 from dtwin.report.text import WIDE, listed, table
 from dtwin.report.twins import found_table
 
@@ -94,8 +95,15 @@ def test_a_signature_is_drawn_for_both_directions() -> None:
         assert abs(int(np.argmax(step)) % (2 * quarter) - quarter) <= 2
     away = np.abs(np.arange(len(radii[0])) % (2 * quarter) - quarter) > 2
     assert np.abs(radii[0] + radii[1] - 200.0)[away].max() < 0.3
-    # What no circle shows is drawn along an axis; only a spread has no picture.
-    assert [name for name, effect in LIBRARY.items() if not signature_svg(effect)] == ["stick_slip"]
+    # What no circle shows is drawn along an axis, and a spread in repeats that differ where the axis creeps.
+    assert all(signature_svg(effect) for effect in LIBRARY.values())
+    jerks = [
+        np.hypot(*(np.array(re.findall(r"[\d.]+", c.get("points")), float).reshape(-1, 2) - 150.0).T)
+        for c in fromstring(signature_svg(LIBRARY["stick_slip"], "Y")).findall("polygon")
+    ]
+    spread = np.std(jerks, axis=0)
+    assert len(jerks) == 3
+    assert spread[170:190].mean() > 20.0 * max(spread[350:370].mean(), 0.05)
     worn = fromstring(signature_svg(LIBRARY["worn_screw"])).findall("polyline")
     heights = [np.array(re.findall(r"[\d.]+", c.get("points")), float).reshape(-1, 2)[:, 1] for c in worn]
     assert np.allclose(heights[0] + heights[1], 300.0, atol=0.2)
@@ -125,6 +133,8 @@ def test_every_effect_that_dtwin_ships_belongs_to_a_group_of_the_shop() -> None:
     assert list(groups) == ["geometry", "drive", "dynamics", "heat", "instrument"]
     mine = replace(Library()["backlash"], name="cable_chain", group="")
     assert grouped([mine]) == [("your own", [mine])]
+    ((spread,),) = found_faults({"variance": {"depends_on": ["feed", "stick_slip X"]}}, LIBRARY)
+    assert (spread.title, spread.group, "svg" in spread.picture) == ("Stick-slip, X", "drive", True)
 
 
 def test_rings_of_a_polar_plot_are_round_numbers_of_micrometres() -> None:
