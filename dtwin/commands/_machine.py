@@ -31,7 +31,9 @@ def add(
     serial: Annotated[str | None, typer.Option(help="Serial number.")] = None,
     chain: Annotated[str | None, typer.Option(help="Axes from the workpiece to the tool, such as w-Y-X-b-Z-t.")] = None,
     controller: Annotated[str | None, typer.Option(help="Control and its version.")] = None,
-    instruments: Annotated[str | None, typer.Option(help="What measures it.")] = None,
+    instruments: Annotated[
+        str | None, typer.Option(help="What measures it, such as ball-bar QC20-W, laser XL-80.")
+    ] = None,
     notes: Annotated[str | None, typer.Option(help="Anything else.")] = None,
     axis: Annotated[
         list[str] | None,

@@ -140,6 +140,7 @@ class Kind:
         campaign_columns: Columns of samples that a judgement of the whole campaign needs; ``temperature_*`` stands for
             all such names.
         sheet_columns: Columns of samples that a test sheet needs.
+        measured_by: What the names of instruments that make its tests hold, in small letters without hyphens.
         figures: Symbols of every figure that its test sheet may have.
         unit: Of those figures and their tolerances, ``um`` or ``arcsec``.
         prefixed: Those that another kind has, too: a tolerance of a machine is of these where it is stated as
@@ -165,6 +166,7 @@ class Kind:
     told_as: ClassVar[str] = ""
     campaign_columns: ClassVar[tuple[str, ...]] = ()
     sheet_columns: ClassVar[tuple[str, ...]] = ()
+    measured_by: ClassVar[tuple[str, ...]] = ()
     figures: ClassVar[tuple[str, ...]] = ()
     unit: ClassVar[str] = "um"
     prefixed: ClassVar[tuple[str, ...]] = ()

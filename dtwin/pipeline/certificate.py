@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -13,6 +14,7 @@ from dtwin.lake.rows import campaign_of
 from dtwin.lake.store import Lake
 from dtwin.machine_record import MachineRecord, read_record
 from dtwin.pipeline.kept import grouped_findings, sheet_of_campaign, stamp_of, variation_of
+from dtwin.pipeline.machine_history import instrument_of
 from dtwin.report.certificate import certificate_page
 from dtwin.report.language import Language
 from dtwin.report.sheet import notes_beside
@@ -58,14 +60,13 @@ def facts_of(home: Home, rows: Sequence[Mapping[str, Any]]) -> dict[str, str]:
         if temperatures
         else ""
     )
-    instrument = " ".join(stated[name] for name in ("model", "serial") if name in stated)
     return {
         "campaign": known.name,
         "machine": known.machine,
         "type": record.facts.get("type", ""),
         "serial": record.facts.get("serial", ""),
         "controller": record.facts.get("controller", ""),
-        "instrument": instrument or record.facts.get("instruments", ""),
+        "instrument": instrument_of(rows) or _one_that_can(record.facts.get("instruments", ""), known.kind),
         "certificate": stated.get("certificate", ""),
         "calibrated": stated.get("calibrated_on", ""),
         "operator": stated.get("operator", ""),
@@ -75,6 +76,16 @@ def facts_of(home: Home, rows: Sequence[Mapping[str, Any]]) -> dict[str, str]:
         "runs": str(len(of_one_way([r for r in rows if r["left_out"] is None]))),
         "evaluated by": f"dtwin {__version__}",
     }
+
+
+def _one_that_can(instruments: str, kind: str) -> str:
+    """Return the one of the instruments of a machine that makes tests of a kind; empty where none does, or several."""
+    apart = re.split(r"\s*[;\n]\s*" if re.search(r"[;\n]", instruments) else r"\s*,\s*", instruments)
+    names = kind_named(kind).measured_by
+    able = [
+        one for one in apart if any(name in re.sub(r"[-\u2010\u2011]| (?=bar)", "", one.casefold()) for name in names)
+    ]
+    return able[0] if len(able) == 1 else ""
 
 
 def _span(stamps: Sequence[str]) -> str:

@@ -35,6 +35,7 @@ class _Circular(Kind):
     goes_round = True
     campaign_columns = ("angle_deg", "deviation_um")
     sheet_columns = campaign_columns
+    measured_by = ("ballbar", "kreisform", "qc10", "qc20", "grid encoder", "kreuzgitter", "kgm")
     figures = ("G(CCW)", "Fmax(CCW)", "Fmin(CCW)", "G(CW)", "Fmax(CW)", "Fmin(CW)", "G(b)", "H", "D")
     laws = True
     always_fitted = "Centre and radius of every set-up are always fitted."

@@ -14,6 +14,7 @@ class _Drift(Kind):
     stated = ()
     campaign_columns = ("t_s", "displacement_um", "sample_1", "temperature_*")
     sheet_columns = campaign_columns
+    measured_by = ("probe", "taster", "displacement", "wegaufnehmer", "capacit", "kapazitiv", "eddy", "wirbelstrom")
     figures = ("d", "d(1 h)")
     read_with = (*Kind.read_with, "instrument.columns", "instrument.step_mm", "condition.step_mm")
     settings = ("instrument.step_mm", "condition.reads", "condition.step_mm")

@@ -24,6 +24,7 @@ class _Poses(Kind):
         "ambient_c",
     )
     sheet_columns = campaign_columns
+    measured_by = ("tracker", "photogram", "fotogram", "measuring arm", "messarm")
     figures = ("AP", "AP mean", "AD", "AD rms", "RP", "dAP", "dRP")
     read_with = (*Kind.read_with, "instrument.columns", "condition.joints_log", "condition.leave_out")
     settings = ("machine_geometry.urdf", "machine_geometry.urdf_tip", "condition.joints_log", "condition.leave_out")

@@ -25,6 +25,7 @@ class _Rotary(Kind):
     examples: ClassVar[Mapping[str, str]] = {"axis": "C"}
     campaign_columns = columns
     sheet_columns = columns
+    measured_by = ("autocollim", "autokollim", "xr20", "polygon")
     figures = ("A", "A↑", "A↓", "R", "R↑", "R↓", "E", "E↑", "E↓", "B", "B̄", "M")
     unit = "arcsec"
     told_as = "positioning"

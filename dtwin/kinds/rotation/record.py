@@ -15,6 +15,7 @@ class _Rotation(Kind):
     in_one_table = True
     campaign_columns = (*columns, "speed_rpm", "runout_um")
     sheet_columns = campaign_columns
+    measured_by = ("spindle", "spindel", "capacit", "kapazitiv", "eddy", "wirbelstrom")
     figures = ("TIR", "T", "e", "S", "R", "A")
     read_with = (*Kind.read_with, "instrument.columns", "condition.angle_log", "condition.speed_rpm")
     settings = (

@@ -30,7 +30,7 @@ from dtwin.physics import localise
 from dtwin.physics.learned import learned_effect
 from dtwin.physics.learned_places import PLACES
 from dtwin.physics.library import Library
-from dtwin.pipeline.certificate import certificate, facts_of
+from dtwin.pipeline.certificate import _one_that_can, certificate, facts_of
 from dtwin.report.certificate import certificate_page
 from dtwin.report.html import page as page_of
 from dtwin.report.html import told_section
@@ -73,6 +73,12 @@ def home(tmp_path_factory: pytest.TempPathFactory) -> Home:
 def test_when_it_was_measured_is_said_as_it_was_told(home: Home, begun: tuple[str, ...], said: str) -> None:
     row = Lake(home.lake).runs("t00")[0]
     assert facts_of(home, [row | {"started": told} for told in begun])["measured"] == said
+
+
+def test_of_the_instruments_of_a_machine_the_one_that_can_have_made_the_test_is_named() -> None:
+    listed = "Ball-bar QC20-W, laser XL-80, laser tracker AT960"
+    said = {kind: _one_that_can(listed, kind) for kind in ("circular", "poses", "linear", "rotary")}
+    assert said == {"circular": "Ball-bar QC20-W", "poses": "laser tracker AT960", "linear": "", "rotary": ""}
 
 
 def test_it_says_in_german_what_was_tested_and_what_is_decided(home: Home) -> None:
