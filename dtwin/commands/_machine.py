@@ -131,7 +131,7 @@ def show(
 
     from dtwin.atomic import write_text
     from dtwin.commands._output import ProgressLine
-    from dtwin.pipeline.machine_history import machine_history, with_sheets
+    from dtwin.pipeline.machine_history import machine_history, other_series, with_sheets
     from dtwin.pipeline.machine_report import machine_report
     from dtwin.pipeline.machine_series import calendar_of
     from dtwin.report.pdf import write_document
@@ -151,7 +151,7 @@ def show(
                 else f"dtwin machine add {name} --test-every 30",
             )
         write_text(ics, calendar_of(name, history["next_test"], datetime.now(UTC)), "the calendar file")
-    shown = with_sheets(home(), history) if as_json else history
+    shown = with_sheets(home(), history) | {"others": other_series(home(), history)} if as_json else history
     emit(shown, lambda: _history_text(history), as_json=as_json)
 
 
@@ -328,7 +328,10 @@ def _history_text(history: Mapping[str, Any]) -> str:
 
 def _series_lines(series: Sequence[Mapping[str, Any]]) -> list[str]:
     """Return what changed, and the levels of the figures that did; of steady ones the number."""
-    lines = [change["text"] for one in series for change in one["changes"]]
+    from dtwin.pipeline.machine_series import SORTED_BY, by_size
+
+    lines = [str(change["text"]) for change in by_size(series)]
+    lines += [SORTED_BY] if len(lines) > 1 else []
     shown = [one for one in series if one["state"] in ("changed", "trend") or one["crossing"]] or series[:4]
     rows = [series_cells(one) for one in shown]
     lines += table(("figure", "state", "level", "noise floor", "since", "limit"), rows).splitlines()

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
-from functools import partial
 from hashlib import sha256
 from typing import Any
 
@@ -16,20 +14,15 @@ from dtwin.lake.rows import by_campaign, campaign_of, moved_in
 from dtwin.lake.store import Lake
 from dtwin.machine_record import MachineRecord, changed_since, drop_record, read_record, recorded
 from dtwin.physics.effect import Effect
-from dtwin.physics.fit import fit
 from dtwin.physics.library import Library
-from dtwin.physics.machine_terms import own_term
-from dtwin.physics.problem import Term
-from dtwin.physics.several_twin import SeveralTwin
 from dtwin.physics.twin import Twin
+from dtwin.pipeline._test_points import add_figures, add_sizes, sizes
 from dtwin.pipeline.catalogue import Overview, TwinLine, catalogue, twin_lines
 from dtwin.pipeline.kept import kept, kept_already, sheet_of_campaign, stamp_of, variation_of
 from dtwin.pipeline.machine_series import ALARMS, Point, Series, judged_series, next_test
 from dtwin.progress import Progress
-from dtwin.report.faults import sizes_of
 from dtwin.report.sheet import number_of
 from dtwin.serve.pointer import resolve
-from dtwin.twins.measured import load
 from dtwin.twins.verbs import Twins
 
 
@@ -109,6 +102,7 @@ def _stamp(
     """Return a hash of what the history of a machine is made of."""
     record = read_record(home, machine)
     made_of = [
+        "with the names of other figures",
         Lake(home.lake).files_by_campaign(machine) if files is None else files,
         None if record is None else record.as_dict(),
         [(twin.name, twin.changed) for twin in twins],
@@ -133,6 +127,7 @@ def _history(
     variation = variation_of(home, machine, rows)
     tests = []
     series: dict[tuple[str, ...], Series] = {}
+    others: dict[tuple[str, ...], Series] = {}
     first: dict[str, str] = {}
     for done, (name, mine) in enumerate(ordered, start=1):
         kind, started, stamp = mine[0]["kind"], mine[0]["started"] or "", stamp_of(mine)
@@ -144,11 +139,12 @@ def _history(
             sheet = None
         copied = _copied(mine, name, first) if started else ""
         told = {"campaign": name, "kind": kind, "moved": [*moved_in(mine)], "started": started, "copy_of": copied}
+        told["instrument"] = instrument_of(mine)
         tests.append({**told, **_headline(sheet)})
         if started and not copied:
             point = Point(name, started, 0.0, 0.0, instrument_of(mine))
-            _with_figures(series, sheet, kind, record, point)
-            _with_sizes(series, _sizes(home, name, stamp, twins), point)
+            add_figures(series, others, sheet, kind, record, point)
+            add_sizes(series, sizes(home, name, stamp, twins), point)
         if progress is not None:
             progress(done, len(ordered), name)
     judged = judged_series([one for one in series.values() if len(one.points) > 1], record)
@@ -163,6 +159,7 @@ def _history(
         "events": record.as_dict()["events"],
         "tests": tests,
         "series": judged,
+        "others": [one.name for one in others.values() if len(one.points) > 1],
         "next_test": next_test(judged, record, overview["last_test"]),
     }
 
@@ -250,81 +247,19 @@ def instrument_of(rows: Sequence[Mapping[str, Any]]) -> str:
     return " ".join(str(stated[name]) for name in ("model", "serial") if stated.get(name))
 
 
-def _with_figures(
-    series: dict[tuple[str, ...], Series],
-    sheet: Mapping[str, Any] | None,
-    kind: str,
-    record: MachineRecord,
-    point: Point,
-) -> None:
-    """Add the figures of a test sheet: the one that stands for the whole, and those that have a tolerance."""
-    for part in [] if sheet is None else sheet["parts"]:
-        symbols = [c["symbol"] for c in part["characteristics"]]
-        wanted = {*kind_named(kind).limits(record.tolerances), (sheet or {})["headline"]}
-        for c in part["characteristics"]:
-            if c["symbol"] not in (wanted if wanted & set(symbols) else symbols[:1]):
-                continue
-            new = Series(part["title"], c["symbol"], c["unit"], (), number_of(c, "low"), number_of(c, "high"))
-            expanded = float("nan") if number_of(c, "expanded") is None else number_of(c, "expanded")
-            _append(series, ("figure", kind, part["title"], c["symbol"]), new, point, number_of(c, "value"), expanded)
+def other_series(home: Home, history: Mapping[str, Any], name: str = "") -> list[dict[str, Any]]:
+    """Return the figures of the tables that the history does not watch as its series, or the one of that name.
 
-
-def _with_sizes(series: dict[tuple[str, ...], Series], sizes: Sequence[Sequence[Any]], point: Point) -> None:
-    """Add the sizes of effects."""
-    for title, figure, value, expanded, unit in sizes:
-        half = float("nan") if expanded is None else expanded
-        _append(series, ("size", title, figure), Series(title, figure, unit, ()), point, value, half)
-
-
-def _append(
-    series: dict[tuple[str, ...], Series],
-    key: tuple[str, ...],
-    new: Series,
-    point: Point,
-    value: float,
-    expanded: float,
-) -> None:
-    known = series.get(key, new)
-    series[key] = replace(known, points=(*known.points, replace(point, value=value, expanded=expanded)))
-
-
-def _sizes(home: Home, campaign: str, stamp: str, twins: Sequence[Twin]) -> list[list[Any]]:
-    """Return title, parameter, value, uncertainty (k = 2) and unit of the effects of twins, fitted to this campaign alone."""
-    by_effect: dict[tuple[str, str], list[Any]] = {}
-    # One name for each cause, whichever twin it is in: that of a twin of several tests, where there is one.
-    ordered = sorted(twins, key=lambda twin: not isinstance(twin, SeveralTwin))
-    named = [term for twin in ordered for term in twin.terms]
-    for twin in twins:
-        terms = [(t.label, dict(t.shape), own_term(t, named).label) for t in twin.terms]
-        fitted = partial(_fitted, home, campaign, twin, named)
-        made = kept(home, f"sizes/{twin.name}", campaign, f"{stamp} {terms}", fitted)
-        by_effect |= {(row[0], row[1]): row for row in made}
-    return list(by_effect.values())
-
-
-def _fitted(home: Home, campaign: str, twin: Twin, named: Sequence[Term]) -> list[list[Any]]:
-    try:
-        obs = load(home, campaign).obs
-        if isinstance(twin, SeveralTwin):
-            kinds = [about["kind"] for about in twin.about]
-            pairs = zip(twin.parts, kinds, strict=True)
-            alike = [p for p, kind in pairs if kind == obs.grid.kind and set(p.box.planes) == set(obs.planes)]
-            if not alike:
-                return []
-            twin = alike[-1]
-        if any(obs.grid.kind not in term.instance.effect.kinds for term in twin.terms):
-            return []
-        estimates = fit(obs, twin.terms).estimates
-    except InputError:  # Of another kind, or of planes and axes that the twin does not have.
-        return []
-    rows: list[list[Any]] = []
-    for term in twin.terms:
-        effect, axis = term.instance.effect, term.instance.axis
-        title = own_term(term, named).instance.effect.title
-        title = f"{title}, {axis}" if axis else title
-        mine = sizes_of([e for e in estimates if (e.effect, e.axis) == (effect.name, axis)])
-        rows += [[title, name if len(mine) > 1 else "", value, spread, unit] for name, value, spread, unit in mine]
-    return rows
+    The rate of false alarms is that of all figures together: they are many, so a change is seen later.
+    """
+    record = read_record(home, history["machine"]) or MachineRecord(history["machine"])
+    series: dict[tuple[str, ...], Series] = {}
+    for test in with_sheets(home, history)["tests"]:
+        if test["started"] and not test["copy_of"]:
+            point = Point(test["campaign"], test["started"], 0.0, 0.0, test["instrument"])
+            add_figures({}, series, test["sheet"], test["kind"], record, point)
+    wanted = [one for one in series.values() if one.name in ([name] if name else history["others"])]
+    return judged_series(wanted, record, len(history["series"]) + len(history["others"]))
 
 
 def _overview(

@@ -7,7 +7,7 @@ from typing import Any
 
 from dtwin.kinds.registry import unit_of_limit
 from dtwin.local_time import local_day
-from dtwin.pipeline.machine_series import TESTS_PER_FALSE_ALARM
+from dtwin.pipeline.machine_series import SORTED_BY, TESTS_PER_FALSE_ALARM, by_size
 from dtwin.report.history_plots import series_figure
 from dtwin.report.html import Section, Table, page
 from dtwin.report.language import Language
@@ -48,14 +48,14 @@ def _changes(history: Mapping[str, Any]) -> Section:
     due, findings = history["next_test"], []
     if overdue(history):
         findings.append(("warning", f"The next test was due on {due['on']}: {due['why']}"))
-    changes = [change for one in history["series"] for change in one["changes"]]
-    for change in sorted(changes, key=lambda change: str(change["seen"]), reverse=True):
+    changes = by_size(history["series"])
+    for change in changes:
         # What somebody noted is told as it was written.
         said, *noted = change["text"].split(_NOTED)
         alarm = "" if change["kind"] == "event" else f"; alarm on {change['seen']}"
         findings.append(("info" if change["kind"] == "event" else "warning", f"{said}{alarm}"))
         findings += [("info", f"noted then: {note}") for note in noted]
-    said = []
+    said = [SORTED_BY] if len(changes) > 1 else []
     if not changes:
         told = sum(one["state"] != "too few tests" for one in history["series"])
         said = [

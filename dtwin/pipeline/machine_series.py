@@ -67,15 +67,32 @@ class Series:
         return f"{self.figure}, {self.title}" if self.figure else self.title
 
 
-def judged_series(series: Sequence[Series], record: MachineRecord) -> list[dict[str, Any]]:
+def judged_series(series: Sequence[Series], record: MachineRecord, among: int = 0) -> list[dict[str, Any]]:
     """Return every series with its chart, what changed, and how it goes on, JSON-ready; those that changed come first.
 
-    The rate of false alarms is that of all series together.
+    The rate of false alarms is that of all series together; ``among``: how many they are, where these are some of them.
     """
-    length = TESTS_PER_FALSE_ALARM * max(len(series), 1)
+    length = TESTS_PER_FALSE_ALARM * max(among, len(series), 1)
     told = [_judged(one, record, length) for one in series]
     order = {"changed": 0, "trend": 1, "slow trend": 2, "steady": 3, "too few tests": 4}
     return sorted(told, key=lambda one: (order[one["state"]], -len(one["points"])))
+
+
+SORTED_BY = (
+    "The largest change first: by a tenth of a tolerance or more, then of figures without one by how many times "
+    "their noise floor, then by less of a tolerance"
+)
+_MATTERS = 0.1
+
+
+def by_size(series: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
+    """Return the changes of all series as ``SORTED_BY`` says; ``series``: as ``judged_series`` returns them."""
+
+    def size(change: Mapping[str, Any]) -> tuple[int, float]:
+        share = change["of_tolerance"]
+        return (1, change["of_floor"] or 0.0) if share is None else (2 if share >= _MATTERS else 0, share)
+
+    return sorted((change for one in series for change in one["changes"]), key=size, reverse=True)
 
 
 def worst_newest(tests: Sequence[Mapping[str, Any]]) -> Mapping[str, Any] | None:
@@ -224,7 +241,10 @@ _LITTLE = 0.5
 
 
 def _changes(series: Series, chart: Chart, why: Mapping[int, str], events: Sequence[Event]) -> list[dict[str, Any]]:
-    """Return every change: alarms, and what differs after an event, JSON-ready, newest first."""
+    """Return every change: alarms, and what differs after an event, JSON-ready, newest first.
+
+    ``of_tolerance``, ``of_floor``: its size as a share of the tolerance, and of the noise floor of the tests around it.
+    """
     points, out = series.points, []
     unit = shown_unit(series.unit)
     # Where a level goes over into a trend the chart gives two alarms, of one change.
@@ -236,12 +256,13 @@ def _changes(series: Series, chart: Chart, why: Mapping[int, str], events: Seque
             continue
         at = turns.get(alarm.first, alarm.at)
         if alarm.trend:
+            change = regime.ends[1] - regime.ends[0]
             size = _signed(regime.slope * _MONTH, regime.slope_expanded * _MONTH)
             began, ended = (points[i].started[:10] for i in (regime.first, regime.last))
             over = f"since {began}" if regime.last == len(points) - 1 else f"from {began} to {ended}"
             text = f"{series.name} changes by {size} {unit} a month {over}"
         else:
-            began = points[alarm.first - 1].started[:10]
+            began, change = points[alarm.first - 1].started[:10], alarm.step
             size = f"{_signed(alarm.step, alarm.expanded)} {unit}"
             between = f"between {began} and {points[alarm.first].started[:10]}"
             if _sure(alarm.step, alarm.expanded):
@@ -258,13 +279,15 @@ def _changes(series: Series, chart: Chart, why: Mapping[int, str], events: Seque
                 "text": text,
                 "began": began,
                 "seen": points[at].started[:10],
+                **_shares(series, chart, alarm.first, change),
             }
         )
     for i, reason in why.items():
         before = next(r for r in chart.regimes if r.last == i - 1)
         after = next(r for r in chart.regimes if r.first == i)
         half = math.hypot(before.expanded, after.expanded)
-        text = f"{series.name} {_signed(after.mean - before.mean, half)} {unit} after: {reason}"
+        change = after.mean - before.mean
+        text = f"{series.name} {_signed(change, half)} {unit} after: {reason}"
         out.append(
             {
                 "kind": "event",
@@ -273,9 +296,21 @@ def _changes(series: Series, chart: Chart, why: Mapping[int, str], events: Seque
                 "text": text,
                 "began": points[i - 1].started[:10],
                 "seen": points[i].started[:10],
+                **_shares(series, chart, i, change),
             }
         )
     return sorted(out, key=lambda change: -int(str(change["at"])))
+
+
+def _shares(series: Series, chart: Chart, first: int, change: float) -> dict[str, float | None]:
+    """Return a change as a share of the tolerance, and of the noise floor of the tests on either side; None where not known."""
+    low, high = series.low, series.high
+    width = high - low if low is not None and high is not None else high if low is None else low
+    floors = [r.floor for r in chart.regimes if first in (r.first, r.last + 1) and r.floor > 0.0]
+    return {
+        "of_tolerance": abs(change / width) if width else None,
+        "of_floor": abs(change) / max(floors) if floors else None,
+    }
 
 
 def _sure(step: float, expanded: float) -> bool:

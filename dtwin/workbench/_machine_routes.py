@@ -15,11 +15,11 @@ from starlette.responses import JSONResponse, Response
 from dtwin.errors import InputError
 from dtwin.kinds.registry import kinds
 from dtwin.machine_record import EVENTS, FACTS, keep_record, record_with, with_event, without_event
-from dtwin.pipeline.machine_history import drop_machine, machine_overviews
+from dtwin.pipeline.machine_history import drop_machine, machine_overviews, other_series
 from dtwin.pipeline.machine_joint import is_compared, machine_joint
 from dtwin.pipeline.machine_next import machine_next
 from dtwin.pipeline.machine_report import machine_report, overdue
-from dtwin.pipeline.machine_series import TESTS_PER_FALSE_ALARM, calendar_of, worst_newest
+from dtwin.pipeline.machine_series import SORTED_BY, TESTS_PER_FALSE_ALARM, by_size, calendar_of, worst_newest
 from dtwin.report.faults import title_of
 from dtwin.report.history_plots import chart_figure, series_figure
 from dtwin.report.pdf import pdf_of
@@ -104,13 +104,13 @@ def machine_list(request: Request, bench: Here) -> Response:
 def machine_page(request: Request, bench: Here, name: str) -> Response:
     """Show one machine."""
     history = bench.history(name)
-    changes = [change for one in history["series"] for change in one["changes"]]
     return rendered(
         request,
         "machine.html",
         title=f"Machine {name}",
         machine=history,
-        changes=sorted(changes, key=lambda change: str(change["seen"]), reverse=True),
+        changes=by_size(history["series"]),
+        sorted_by=SORTED_BY,
         overdue=overdue(history),
         figures=_figures_of(history),
         false_alarms=TESTS_PER_FALSE_ALARM,
@@ -210,7 +210,8 @@ def summary(bench: Here, name: str) -> dict[str, Any]:
         for one in history["series"]
         if worst and (one["figure"], one["title"]) == (worst["figure"], worst["condition"])
     ]
-    current = [one["changes"][0]["text"] for one in history["series"] if one["state"] in ("changed", "trend")]
+    newest = [{"changes": one["changes"][:1]} for one in history["series"] if one["state"] in ("changed", "trend")]
+    current = [change["text"] for change in by_size(newest)]
     return {
         "worst": worst,
         "values": [point["value"] for point in points[0]] if points else [],
@@ -225,6 +226,9 @@ def summary(bench: Here, name: str) -> dict[str, Any]:
 def series(bench: Here, name: str, of: str) -> Response:
     """Return the picture of a figure over time."""
     history = bench.history(name)
+    if of in history["others"]:
+        found, *_ = other_series(bench.home, history, of)
+        return drawn(series_figure(found, history["events"]))
     return drawn(series_figure(_series(history, of), history["events"]))
 
 

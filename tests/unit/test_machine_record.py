@@ -24,7 +24,7 @@ from dtwin.lake.store import Lake
 from dtwin.machine_record import Event, MachineRecord, keep_record, read_record, tolerances_of, with_event
 from dtwin.pipeline.machine_history import machine_history
 from dtwin.pipeline.machine_report import tolerance_words
-from dtwin.pipeline.machine_series import Point, Series, calendar_of, judged_series, next_test, worst_newest
+from dtwin.pipeline.machine_series import Point, Series, by_size, calendar_of, judged_series, next_test, worst_newest
 from dtwin.pipeline.planned_tests import draft_of
 from dtwin.report.language import Language
 from dtwin.report.text import series_cells
@@ -90,6 +90,23 @@ def test_what_was_mistyped_is_taken_back(home: Home) -> None:
         "± 10 µm",
         "≥ -5 µm",
     ]
+
+
+def test_the_largest_change_comes_first_of_its_tolerance_then_of_the_noise() -> None:
+    days = [f"2025-01-{day:02d}" for day in range(1, 13)]
+    made = []
+    for figure, scatter, step, high in (
+        ("H", 0.1, 5.0, None),
+        ("D", 1.0, 8.0, None),
+        ("G(CW)", 0.1, 2.0, 50.0),
+        ("G(b)", 0.1, 2.0, 8.0),
+    ):
+        at = [10.0 + scatter * (-1) ** i + step * (i > 7) for i in range(12)]
+        points = tuple(Point("t", day, value, 0.1) for day, value in zip(days, at, strict=True))
+        made.append(Series("XY", figure, "um", points, high=high))
+    found = by_size(judged_series(made, MachineRecord("mill")))
+    assert [change["text"].split(",")[0] for change in found] == ["G(b)", "H", "D", "G(CW)"]
+    assert found[0]["of_tolerance"] == pytest.approx(0.25, abs=0.02)
 
 
 @pytest.mark.parametrize(
@@ -215,6 +232,9 @@ def test_a_crash_shows_in_the_history_of_figures_and_of_fault_sizes(home: Home) 
     assert series["Squareness, XY"]["state"] == series["G(b), XY R150 F1000"]["state"] == "changed"
     assert "between 2025-05-06 and 2025-06-05; noted then: crash" in series["Squareness, XY"]["changes"][0]["text"]
     assert series["Backlash, X"]["state"] == "steady"
+    others = {one["figure"]: one for one in cast(list[dict[str, Any]], shown["others"])}
+    assert {*others} == {"G(CCW)", "Fmax(CCW)", "Fmin(CCW)", "G(CW)", "Fmax(CW)", "Fmin(CW)", "H", "D"}
+    assert (others["G(CCW)"]["state"], len(others["H"]["points"])) == ("changed", 8)
     sizes = [abs(p["value"]) for p in series["Backlash, X"]["points"]]
     assert sum(sizes) / len(sizes) == pytest.approx(2.0, abs=0.3)
     assert shown["next_test"] == {"on": "2025-09-03", "why": "a test is wanted every 30 days"}

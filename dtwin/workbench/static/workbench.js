@@ -43,11 +43,12 @@ function chosen() {
 function addressOf(figure) {
   const address = figure.dataset.figure;
   if ("chooser" in figure.dataset) return `${address}?${chosen()}`;
-  if ("signature" in figure.dataset) return `${address}?${new URLSearchParams({ effect: byId("signature").value })}`;
-  return address;
+  const by = byId(figure.dataset.by);
+  return by ? `${address}?${new URLSearchParams({ [by.name]: by.value })}` : address;
 }
 
 async function draw(figure) {
+  if (figure.dataset.by && !byId(figure.dataset.by).value) return;
   const canvas = figure.querySelector(".canvas");
   const turn = (figure.turn || 0) + 1;
   figure.turn = turn;
@@ -657,7 +658,7 @@ document.addEventListener("DOMContentLoaded", async () => {
   watchMagnification();
   watchChooser();
   all("select[data-submit]").forEach((select) => select.addEventListener("change", () => select.form.submit()));
-  if (byId("signature")) byId("signature").addEventListener("change", () => draw(byId("signature-plot")));
+  all("[data-by]").forEach((figure) => byId(figure.dataset.by).addEventListener("change", () => draw(figure)));
   if (byId("chooser")) await listRuns().catch(() => {});
   await Promise.all([...all("[data-figure]").map(draw), fillMachines()]);
   document.body.dataset.drawn = "yes";
