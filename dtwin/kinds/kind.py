@@ -149,6 +149,7 @@ class Kind:
         settings: What it reads of ``instrument``, ``machine_geometry`` and ``condition`` beside every kind; others are
             notes.
         always_fitted: What every twin has beside its effects, as a sentence; empty when there is no twin.
+        search_from: Effects with which a search for all that its runs can tell begins.
         controls: Dialects of its programs, the usual first; empty when they are alike for all controls.
         export_forms: Forms of ``dtwin export`` that a twin is written in without a registered correction.
         instead: What serves in place of a verb that the kind lacks.
@@ -173,6 +174,7 @@ class Kind:
     read_with: ClassVar[tuple[str, ...]] = ("instrument.sample_rate_hz",)
     settings: ClassVar[tuple[str, ...]] = ()
     always_fitted: ClassVar[str] = ""
+    search_from: ClassVar[tuple[str, ...]] = ()
     controls: ClassVar[tuple[str, ...]] = ()
     export_forms: ClassVar[tuple[str, ...]] = ()
     instead: ClassVar[Mapping[str, str]] = {}
@@ -295,6 +297,11 @@ class Kind:
     def twins(self, home: Home, library: Mapping[str, Effect] | None) -> Twins | HeatTwins:
         """Return the twins of a home that are of such campaigns, with a library of effects."""
         return self._done("twins")(home, library)
+
+    @property
+    def effects(self) -> Mapping[str, Any]:
+        """What its twins may have, with name, title and group, where that is not of the library."""
+        return self._done("effects") if "effects" in self.places else {}
 
     @property
     def twin_report(self) -> TwinReport:

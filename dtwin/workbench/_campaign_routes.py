@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any, Literal
 
@@ -12,8 +12,7 @@ from starlette.responses import HTMLResponse, JSONResponse, Response
 
 from dtwin.acquire.amending import amend, leave_out
 from dtwin.errors import InputError
-from dtwin.kinds.registry import kind_named, kinds
-from dtwin.kinds.volumetric.motions import FAMILIES
+from dtwin.kinds.registry import kind_named
 from dtwin.lake.rows import campaign_of
 from dtwin.pipeline.catalogue import overview
 from dtwin.pipeline.certificate import certificate
@@ -94,7 +93,7 @@ def campaign_page(request: Request, bench: Here, name: str, part: int | None = N
         campaign=line,
         runs=rows,
         findings=findings,
-        worst=next((s for s in ("error", "warning") if any(f["severity"] == s for f in findings)), ""),
+        worst=_worst_of(findings),
         kind=kind,
         instrument=campaign_of(rows).instrument,
         sheet=sheet,
@@ -103,11 +102,15 @@ def campaign_page(request: Request, bench: Here, name: str, part: int | None = N
         shown=shown,
         budgets=[(c, budget_rows(c)) for c in (shown or {}).get("characteristics", ()) if c.get("budget")],
         paths=paths,
-        effects=possible_effects(rows, bench.library) if paths else FAMILIES.values(),
-        with_twins=[known.name for known in kinds() if known.always_fitted],
+        effects=possible_effects(rows, bench.library) if paths else kind.effects.values(),
         suggested=fresh_name(line.machine, [twin.name for twin in twins]),
         fitted=[twin.name for twin in twins if name in twin.campaigns],
     )
+
+
+def _worst_of(findings: Sequence[Mapping[str, Any]]) -> str:
+    """Return the worst severity of findings, empty where the data are sound."""
+    return next((s for s in ("error", "warning") if any(f["severity"] == s for f in findings)), "")
 
 
 def _worst_part(sheet: Mapping[str, Any] | None) -> int:
@@ -148,6 +151,7 @@ def run_page(request: Request, bench: Here, name: str, run_id: str) -> Response:
     kind = kind_named(row["kind"])
     sheet = campaign_sheet_of(bench, name, row["machine"]) if kind.offers("sheet") else {"parts": []}
     part = next((n for n, one in enumerate(sheet["parts"]) if run_id in one["runs"]), -1)
+    findings = findings_of(row)
     return rendered(
         request,
         "run.html",
@@ -155,8 +159,11 @@ def run_page(request: Request, bench: Here, name: str, run_id: str) -> Response:
         campaign=name,
         row=row,
         kind=kind,
-        findings=findings_of(row),
+        findings=findings,
+        worst=_worst_of(findings),
+        suggested=fresh_name(row["machine"], [twin.name for twin in bench.twin_lines()]),
         sheet=sheet,
+        notes=notes_beside(sheet) if part >= 0 else [],
         part=part,
         shown=sheet["parts"][part] if part >= 0 else None,
         drawings=kind.drawings if kind.offers("drawings") else (),

@@ -11,6 +11,7 @@ from pydantic import BaseModel, Field
 from starlette.responses import JSONResponse
 
 from dtwin.errors import InputError
+from dtwin.kinds.registry import kind_named
 from dtwin.physics.twin import Twin
 from dtwin.pipeline.machine_joint import newest_tests
 from dtwin.schema import require_name
@@ -142,8 +143,8 @@ def diagnose(bench: Here, name: str) -> JSONResponse:
 
 @router.post("/api/campaigns/{campaign}/find")
 def find(bench: Here, campaign: str, wanted: _NameRequest) -> JSONResponse:
-    """Fit a twin of nothing but the set-ups, and add every effect that the runs can tell."""
-    return _find(bench, [campaign], wanted.name)
+    """Fit a twin of nothing but the set-ups, or of what its kind begins with, and add every effect that the runs can tell."""
+    return _find(bench, [campaign], wanted.name, kind_named(bench.lake.campaign(campaign).kind).search_from)
 
 
 @router.post("/api/machines/{machine}/find")
@@ -158,7 +159,7 @@ def find_together(bench: Here, machine: str, wanted: _TogetherRequest) -> JSONRe
     return _find(bench, campaigns, wanted.name)
 
 
-def _find(bench: Bench, campaigns: Sequence[str], name: str) -> JSONResponse:
+def _find(bench: Bench, campaigns: Sequence[str], name: str, known: Sequence[str] = ()) -> JSONResponse:
     require_name(name, "the twin")
     for campaign in campaigns:
         bench.lake.campaign(campaign)
@@ -172,7 +173,7 @@ def _find(bench: Bench, campaigns: Sequence[str], name: str) -> JSONResponse:
 
     def work(tell: Tell) -> str:
         tell("fit the set-ups")
-        twins, _ = fit_twin(bench.home, bench.library, campaigns, [], name)
+        twins, _ = fit_twin(bench.home, bench.library, campaigns, known, name)
         _discover(twins, name, tell)
         return f"/twins/{name}/diagnose"
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import time
 from collections.abc import Iterator
 
@@ -117,6 +118,27 @@ def test_what_mlflow_does_not_show_yet_is_said(bench: Workbench) -> None:
     assert "not yet in MLflow: slide v001;" in said(bench, "/twins")
 
 
+def _done(bench: Workbench, path: str, wanted: dict[str, str]) -> str:
+    status, text = bench.act(path, json.dumps(wanted).encode())
+    assert status == 202, text
+    job = json.loads(text)["job"]
+    while (state := json.loads(said(bench, f"/api/jobs/{job}"))["state"]) not in ("done", "failed"):
+        time.sleep(0.1)
+    return str(state)
+
+
+def test_one_button_finds_what_a_log_of_drift_can_tell(bench: Workbench) -> None:
+    (campaign,) = re.findall(r'href="/campaigns/([^"]+)"', said(bench, "/twins/column"))[:1]
+    effects = re.findall(r'name="effects" data-list value="([^"]+)"', said(bench, f"/campaigns/{campaign}"))
+    assert effects == ["follows", "lag", "second_lag", "sensor_curve"]
+    run = said(bench, f"/campaigns/{campaign}/runs/day-1-log")
+    assert "Find what these runs can tell" in run
+    assert "U covers 95 %" in run
+    assert "- Hz" not in run
+    assert _done(bench, f"/api/campaigns/{campaign}/find", {"name": "found"}) == "done"
+    assert "Nothing is missing" in said(bench, "/twins/found/diagnose")
+
+
 def test_a_twin_that_is_told_in_words_has_a_page_and_is_changed_there(bench: Workbench) -> None:
     for tab in ("", "/diagnose", "/versions"):
         shown = said(bench, f"/twins/column{tab}")
@@ -128,12 +150,7 @@ def test_a_twin_that_is_told_in_words_has_a_page_and_is_changed_there(bench: Wor
     assert [[curve["name"] for curve in figure["data"]] for figure in drawn] == [["measured", "twin"], ["left"]]
     for figure in ("map", "overlay/angle", "ranked", "encoder", "runs", "compared/2"):
         assert bench.ask(f"/api/twins/column/{figure}")[0] in (400, 404), figure
-    status, text = bench.act("/api/twins/column/add", json.dumps({"effect": "lag@front"}).encode())
-    assert status == 202, text
-    job = json.loads(text)["job"]
-    while (state := json.loads(said(bench, f"/api/jobs/{job}"))["state"]) not in ("done", "failed"):
-        time.sleep(0.1)
-    assert state == "done"
+    assert _done(bench, "/api/twins/column/add", {"effect": "lag@front"}) == "done"
     assert "was not diagnosed yet" in said(bench, "/twins/column")
     assert said(bench, "/twins/column/report.html").count("<section") >= 3
 
@@ -149,12 +166,7 @@ def test_a_twin_of_heat_has_one_page_and_is_changed_there(bench: Workbench) -> N
     assert {"EX0", "EXX1", "EXZ1"} <= set(names)
     assert json.loads(said(bench, "/api/twins/heat/compared/1"))["data"]
     assert json.loads(said(bench, "/api/twins/heat/waterfall"))["data"][0]["x"][0] == "no effects"
-    status, text = bench.act("/api/twins/heat/add", json.dumps({"effect": "EA0"}).encode())
-    assert status == 202, text
-    job = json.loads(text)["job"]
-    while (state := json.loads(said(bench, f"/api/jobs/{job}"))["state"]) not in ("done", "failed"):
-        time.sleep(0.1)
-    assert state == "done"
+    assert _done(bench, "/api/twins/heat/add", {"effect": "EA0"}) == "done"
     assert "add EA0" in said(bench, "/twins/heat")
     assert said(bench, "/twins/heat/report.html").count("<section") >= 4
     status, text = bench.ask("/api/twins/heat/map")

@@ -153,13 +153,14 @@ def _words(one: Addition) -> str:
 
 @dataclass(frozen=True)
 class Effect:
-    """One cause; ``term`` is the kind of its column."""
+    """One cause; ``term`` is the kind of its column, ``group`` of what it is on pages."""
 
     name: str
     title: str
     term: str
     unit: str
     remedy: str
+    group: str = "heat"
 
 
 EFFECTS = {
@@ -192,6 +193,7 @@ EFFECTS = {
             "curve",
             "um/K^2",
             "Calibrate the sensor: the constants of a thermistor.",
+            "instrument",
         ),
     )
 }

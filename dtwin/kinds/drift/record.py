@@ -20,6 +20,7 @@ class _Drift(Kind):
     settings = ("instrument.step_mm", "condition.reads", "condition.step_mm")
     export_forms = ("klipper",)
     always_fitted = "Where the zero of the log lies."
+    search_from = ("follows",)
     instead: ClassVar[Mapping[str, str]] = {
         "rows": "dtwin twin fit CAMPAIGN --effects follows --name NAME fits a twin of drift",
         "laws": "dtwin twin discover TWIN adds every sensor that the log follows; dtwin train CAMPAIGN makes an equation",
@@ -32,6 +33,7 @@ class _Drift(Kind):
         "judge_campaign": "_check:judge_campaign_drift",
         "campaign_figures": "_check:drift_figures",
         "figure_lines": "_check:drift_lines",
+        "effects": "_diagnosis:EFFECTS",
         "twins": "_twins:DriftTwins",
         "sheet": "_sheet:drift_sheet",
         "sheet_figure": "_sheet:drift_figure",

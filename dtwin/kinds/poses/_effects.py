@@ -39,6 +39,7 @@ class Poses:
 @dataclass(frozen=True)
 class Effect:
     """One cause. ``per`` is ``joint`` or ``robot``; ``needs``: what a table must have for it.
+    ``group``: of what it is on pages.
 
     ``of_campaign``: belongs to the set-up or the day, and to no other test of the robot.
     ``cause``, ``elsewhere``: where tests of a path measure the same: their name of it, name and unit of the parameter there, and
@@ -55,6 +56,7 @@ class Effect:
     of_campaign: bool = False
     cause: str = ""
     elsewhere: tuple[str, str, float] | None = None
+    group: str = "geometry"
 
     def named(self, number: int) -> tuple[str, str, float]:
         """Return name and unit of a parameter as other tests know them, and how many of that unit one of this unit is."""
@@ -169,11 +171,19 @@ _EFFECTS = (
         _sag,
         "state the payload; correct the joint by compliance times moment",
     ),
-    Effect("joint_cyclic_1", "once a turn of a joint", "joint", _ANGLE, _cyclic(1.0), "encoder off centre"),
     Effect(
-        "joint_cyclic_2", "twice a turn of a joint", "joint", _ANGLE, _cyclic(2.0), "gear or encoder disc not round"
+        "joint_cyclic_1", "once a turn of a joint", "joint", _ANGLE, _cyclic(1.0), "encoder off centre", group="drive"
     ),
-    Effect("joint_cyclic_3", "three times a turn of a joint", "joint", _ANGLE, _cyclic(3.0), "gear"),
+    Effect(
+        "joint_cyclic_2",
+        "twice a turn of a joint",
+        "joint",
+        _ANGLE,
+        _cyclic(2.0),
+        "gear or encoder disc not round",
+        group="drive",
+    ),
+    Effect("joint_cyclic_3", "three times a turn of a joint", "joint", _ANGLE, _cyclic(3.0), "gear", group="drive"),
     Effect(
         "joint_reversal",
         "lost motion of a joint",
@@ -182,6 +192,7 @@ _EFFECTS = (
         _reversal,
         "approach from one side",
         elsewhere=("backlash", "urad", 1e3),
+        group="drive",
     ),
     Effect(
         "ambient_growth",
@@ -193,6 +204,7 @@ _EFFECTS = (
         "ambient_c, by which the temperature changes by more than 0.5 K",
         cause="thermal_growth",
         elsewhere=("expansion", "um/(m K)", 1.0),
+        group="heat",
     ),
     Effect(
         "setup_drift",
@@ -203,6 +215,7 @@ _EFFECTS = (
         "let robot and instrument warm up; measure a fixed target now and then",
         "t_s, the times of the rows",
         of_campaign=True,
+        group="instrument",
     ),
 )
 EFFECTS: Mapping[str, Effect] = {effect.name: effect for effect in _EFFECTS}

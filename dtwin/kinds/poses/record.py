@@ -46,6 +46,7 @@ class _Poses(Kind):
         "sheet_figure": "_sheet:pose_figure",
         "drawings": "_sheet:DRAWINGS",
         "export_twin": "_export:export_twin",
+        "effects": "_effects:EFFECTS",
         "twins": "_twins:PoseTwins",
         "twin_report": "_twin_report",
     }

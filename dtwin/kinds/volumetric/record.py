@@ -35,6 +35,7 @@ class _Volumetric(Kind):
         "judge_run": "_check:judge_volumetric_run",
         "judge_campaign": "_check:judge_volumetric_campaign",
         "drawings": "dtwin.kinds.volumetric.twin_report:DRAWINGS",
+        "effects": "dtwin.kinds.volumetric.motions:FAMILIES",
         "twins": "dtwin.kinds.volumetric.heat_twins:HeatTwins",
         "twin_report": "dtwin.kinds.volumetric.twin_report",
         "training": "_training:train_volumetric",
