@@ -47,7 +47,8 @@ def um(value: float | None) -> str:
 def stated(row: Mapping[str, Any]) -> str:
     """Return the conditions of a run that is no circle, for example ``axis Z, frequency_hz 5``."""
     condition = json.loads(row["condition_json"])
-    return ", ".join(f"{name} {value}" for name, value in condition.items()) or "not stated"
+    words = (f"{name} {number(value, 6) if isinstance(value, float) else value}" for name, value in condition.items())
+    return ", ".join(words) or "not stated"
 
 
 _ENVIRONMENT = Environment(

@@ -136,7 +136,5 @@ def lines(run_id: str, found: dict[str, Any]) -> Iterator[str]:
     if distance is not None:
         yield f"  distance accuracy AD {distance['rms']:z.3f} mm RMS, {distance['max']:z.3f} at most"
     said = found["pose_repeatability_mm"]
-    if said is None:
-        yield "  pose repeatability RP: no pose was measured three times; ISO 9283 asks for thirty"
-        return
-    yield f"  pose repeatability RP {said['median']:z.3f} mm (median of {said['poses']} poses), {said['max']:z.3f} at most"
+    if said is not None:
+        yield f"  pose repeatability RP {said['median']:z.3f} mm (median of {said['poses']} poses), {said['max']:z.3f} at most"

@@ -147,7 +147,9 @@ def _taken_away(run: Run, series: Series) -> str:
         said += f"; {many} few for the {numbers} numbers of {series.taken_away}, and {rest}"
     repeats = np.bincount(series.poses.place)
     fewest = int(repeats[repeats >= _FEWEST_REPEATS].min(initial=_ASKED_REPEATS))
-    if fewest < _ASKED_REPEATS:
+    if repeats.max() < _FEWEST_REPEATS:
+        said += "; RP is not told, for no pose was measured three times; ISO 9283 asks for thirty"
+    elif fewest < _ASKED_REPEATS:
         said += f"; RP is of {fewest} readings a pose and more; ISO 9283 asks for thirty"
     return f"{said}."
 

@@ -274,9 +274,10 @@ def test_accuracy_in_the_frame_of_the_robot_is_said(away_mm: float, said: str) -
 
 def test_few_readings_of_a_pose_are_said() -> None:
     campaign = Campaign("c", "m", "poses", machine_geometry={"chain": "ur5"})
-    few, enough = (
-        " ".join(sheet_of(kind_named("poses"), campaign, [poses(0.0, repeats=n)], {})["notes"]) for n in (3, 30)
+    none, few, enough = (
+        " ".join(sheet_of(kind_named("poses"), campaign, [poses(0.0, repeats=n)], {})["notes"]) for n in (2, 3, 30)
     )
+    assert "RP is not told, for no pose was measured three times; ISO 9283 asks for thirty" in none
     assert "RP is of 3 readings a pose and more; ISO 9283 asks for thirty" in few
     assert "thirty" not in enough
 
