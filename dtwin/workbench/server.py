@@ -15,6 +15,7 @@ from importlib.resources import files
 from pathlib import Path
 
 import h11
+import numpy as np
 import uvicorn
 from fastapi import Depends, FastAPI, Request
 from fastapi.exceptions import RequestValidationError
@@ -26,6 +27,9 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 from dtwin.config import Home
 from dtwin.errors import DtwinError, InputError, MissingPart
 from dtwin.faults import fault_of
+from dtwin.kinds.registry import kind_named
+from dtwin.physics.circular import fit_circle
+from dtwin.report.plots import polar_figure
 from dtwin.workbench import _budget_routes as budget_routes
 from dtwin.workbench import _campaign_routes as campaign_routes
 from dtwin.workbench import _delivery_routes as delivery_routes
@@ -43,7 +47,7 @@ from dtwin.workbench import _twin_actions as twin_actions
 from dtwin.workbench import _twin_routes as twin_routes
 from dtwin.workbench._access import Access, Guarded
 from dtwin.workbench._bench import Bench, bench_of
-from dtwin.workbench._pages import refused
+from dtwin.workbench._pages import drawn, refused
 
 _WARMED_TWINS = 3
 _KINDS = {".js": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml"}
@@ -177,9 +181,15 @@ def _broken(request: Request, error: Exception) -> Response:
 
 
 def _warm(bench: Bench) -> None:
-    """Read what the first pages would wait for; a page says what is wrong with it."""
+    """Load and read what the first pages would wait for; a page says what is wrong with it."""
+    # What fits and draws a circle is imported at its first: that took a second.
+    angle_deg = np.linspace(0.0, 360.0, 37)
+    fit_circle(angle_deg, np.cos(np.radians(angle_deg)), 100.0)
+    drawn(polar_figure({"circle": (angle_deg, np.zeros(37))}, 100.0, title="", plane="XY"))
     with contextlib.suppress(DtwinError, ModuleNotFoundError):
-        bench.campaigns()
+        for one in bench.campaigns()[:1]:
+            if kind_named(one.kind).offers("sheet"):
+                reading.campaign_sheet_of(bench, one.name, one.machine)
         newest = sorted(bench.twins.root.glob("*/v*.json"), key=lambda p: -p.stat().st_mtime)
         known = set(bench.twins.names())
         paths = [path.parent.name for path in newest if path.parent.name in known]

@@ -23,12 +23,15 @@ import uvicorn
 from entered_workbench import enter
 from starlette.testclient import TestClient
 
+from dtwin.acquire.ingest import ingest
 from dtwin.config import Home
 from dtwin.errors import InputError, StoreError
+from dtwin.lake.store import Lake
 from dtwin.links import state as layout
 from dtwin.machine_record import events_of, keep_record, tolerances_of, with_event
 from dtwin.physics.experiment import planned_observations
 from dtwin.physics.gridding import Condition
+from dtwin.pipeline.kept import kept_already
 from dtwin.plan import expand, training_plan
 from dtwin.serve import safety
 from dtwin.serve._lease import lease
@@ -293,6 +296,7 @@ def test_what_was_stated_of_a_machine_is_taken_back_and_of_no_machine_nothing_is
 _BEGUN = """
 import socket, sys, threading
 from pathlib import Path
+from dtwin.acquire.ingest import ingest
 from dtwin.config import Home
 from dtwin.workbench import server as _server
 threading.Thread = lambda **_: sys.exit(f"pandas: {'pandas' in sys.modules}")
@@ -367,6 +371,14 @@ def test_figures_of_a_loop_that_is_held_up_or_was_killed_are_not_told_as_those_o
         assert "gone without a word" not in text
         assert "Nothing is being served" not in text
     assert "gone without a word" in client.get("/live").text
+
+
+def test_the_sheet_that_is_asked_for_first_is_made_when_the_server_starts(tmp_path: Path) -> None:
+    home = Home(tmp_path)
+    ingest(Path("data/examples/nothing-hidden"), Lake(home.lake))
+    (campaign,) = {row["campaign"] for row in Lake(home.lake).runs()}
+    _server._warm(Bench(home, Access("127.0.0.1", 8765)))
+    assert kept_already(home, "sheets", campaign) is not None
 
 
 def test_a_home_that_is_taken_away_is_told_and_not_begun_anew(tmp_path: Path) -> None:
