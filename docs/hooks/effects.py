@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from german import german_of
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 
@@ -61,6 +62,8 @@ def _page(effect: Effect, library: Library) -> str:
 {effect.meaning}
 
 {_signature(effect)}
+
+**In German.** {german_of(effect)}
 
 **What the plot shows.** {effect.looks_like}
 
