@@ -38,7 +38,8 @@ class Contradiction:
     ``effect``, ``axis``, ``parameter``, ``unit``: what differs; the axis is a plane where only the difference of its
     two axes is told.
     ``difference``, ``k2``: by how much, with its expanded uncertainty; unit of replication: the run.
-    ``p_value``: after Holm over campaigns and parameters.
+    ``missed``: part of ``k2``: how far laws that are not exact may move it.
+    ``p_value``: of what the difference is beyond that, after Holm over campaigns and parameters.
     ``since``: first day with the newer value, as the campaign states it; empty when no day is stated.
     ``what``: ``change`` of the machine where later tests agree with it, ``mistake`` where tests before and after agree
     with each other, ``change or mistake`` where the newest test alone differs.
@@ -57,6 +58,7 @@ class Contradiction:
     since: str
     what: What
     rivals: tuple[str, ...] = ()
+    missed: float = 0.0
 
     def as_dict(self) -> dict[str, Any]:
         """Return a JSON-ready mapping."""
@@ -77,6 +79,7 @@ class _Tested:
     p_value: float
     beside: tuple[int, ...]
     beyond: _Side = frozenset()
+    missed: float = 0.0
 
 
 def without_contradictions(fitted: SeveralFit, started: Sequence[str]) -> tuple[SeveralFit, tuple[Contradiction, ...]]:
@@ -304,7 +307,11 @@ def _wald(
         name = pool.terms[term].instance.effect.name
         beside = tuple(t for t in dropped if pool.terms[t].instance.effect.name == name)
         own = side & _with_term(pool, term)
-        out.append(_Tested(own, term, parameter, float(x[at]), float(k2[at]), times, p_value, beside, beyond))
+        out.append(
+            _Tested(
+                own, term, parameter, float(x[at]), float(k2[at]), times, p_value, beside, beyond, float(missed[at])
+            )
+        )
     return out
 
 
@@ -329,6 +336,7 @@ def _told(worst: _Tested, pool: Pool, mine: _Side, started: Sequence[str]) -> Co
         p_value=worst.p_value,
         since=since,
         what=what,
+        missed=worst.missed,
     )
 
 

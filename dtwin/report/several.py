@@ -14,6 +14,7 @@ from dtwin.report.recorded import contradiction_words
 from dtwin.report.text import VERDICTS, micrometres, table
 from dtwin.report.twins import history_section as history_section
 from dtwin.report.twins import number
+from dtwin.units import shown_number, shown_unit
 
 if TYPE_CHECKING:
     from dtwin.twins.several import SeveralComparison
@@ -109,8 +110,18 @@ def contradiction_lines(document: Mapping[str, Any]) -> list[str]:
             f"{what}: {where} ({one['parameter'].replace('_', ' ')}) of {', '.join(one['campaigns'])} is "
             f"{size} {side} {', '.join(one['others'])} (p = {one['p_value']:.1g}){rivals}: "
             + contradiction_words(one["what"], one.get("between", ()), one.get("events", ()))
+            + _missed_words(one.get("missed", 0.0), one["unit"])
         )
     return out
+
+
+def _missed_words(missed: float, unit: str) -> str:
+    """Return what of the uncertainty of a contradiction is no chance; without it, a difference hardly beyond it has a tiny p."""
+    return (
+        f"; ± holds {shown_number(missed, 2)} {shown_unit(unit)} that laws may miss, and p is of what lies beyond"
+        if missed
+        else ""
+    )
 
 
 def _explanation_lines(result: Mapping[str, Any]) -> list[str]:

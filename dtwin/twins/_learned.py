@@ -91,7 +91,10 @@ def twin_from(document: Mapping[str, Any], library: Mapping[str, Effect], where:
 def contradictions_from(document: Mapping[str, Any]) -> tuple[Contradiction, ...]:
     """Return the contradictions that a twin stores."""
     lists = ("campaigns", "others", "rivals")
-    every = ({**entry, **{name: tuple(entry.get(name, ())) for name in lists}} for entry in document["contradictions"])
+    every = (
+        {"missed": 0.0, **entry, **{name: tuple(entry.get(name, ())) for name in lists}}
+        for entry in document["contradictions"]
+    )
     return tuple(Contradiction(**{name: one[name] for name in _CONTRADICTION}) for one in every)
 
 

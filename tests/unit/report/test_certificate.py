@@ -262,7 +262,8 @@ def test_what_a_diagnosis_tells_is_german_in_a_german_report() -> None:
         "need_repeats: no condition was repeated: the noise floor is not known, it is at least 0.3 µm (harmonics above "
         "90); it looks like backlash X; squareness XY or scale_mismatch XY",
         "contradiction since 2026-03-01: backlash X (backlash) of a is 3.1 ± 0.2 µm above that of b (p = 1e-05): since "
-        "the repair of 2026-02-01 (new nut, X), which is recorded between these tests",
+        "the repair of 2026-02-01 (new nut, X), which is recorded between these tests; ± holds 0.12 µm that laws may "
+        "miss, and p is of what lies beyond",
         "contradiction: backlash X (backlash) of a, c is 3.1 ± 0.2 µm below that of b (p = 1e-05), or friction X, which "
         "these tests cannot tell from it: the machine changed, or one of them is mistaken, though the crash of "
         "2026-02-01 is recorded before it",
