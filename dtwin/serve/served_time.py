@@ -109,15 +109,21 @@ def serving_now(home: Home, machine: str) -> str:
     return next((s.model_sha256 for s in served_stretches(home, machine) if s.end == _FOREVER), "")
 
 
-def never_released(home: Home, machine: str) -> datetime | None:
-    """Return when the newest session of a machine began to correct, if it was killed or nothing says how it ended; else None."""
+def never_released(home: Home, machine: str) -> tuple[list[datetime], datetime | None]:
+    """Return when sessions of a machine began to correct that were killed, or of which nothing says how they ended.
+
+    Returns those before the newest session, oldest first; and the newest session if it is one, else None.
+    """
     begun: dict[str, datetime] = {}
+    newest = ""
     for event in _journal_of(home, machine):
         if _begins(event):
-            begun = {event["session"]: event["at"]}
+            newest = event["session"]
+            begun[newest] = event["at"]
         elif event.get("event") in (RELEASED, NOT_RELEASED, ENDED):
             begun.pop(event["session"], None)
-    return next(iter(begun.values()), None)
+    last = begun.pop(newest, None)
+    return list(begun.values()), last
 
 
 def _end_what_is_dead(home: Home, machine: str) -> None:

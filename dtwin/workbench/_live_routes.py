@@ -7,8 +7,10 @@ import math
 import os
 import signal
 import time
-from collections.abc import Callable, Collection, Mapping
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +27,7 @@ from dtwin.serve._lease import is_leased
 from dtwin.serve.live_board import COLUMNS, RECENT_S, Seen, live_state, read_board
 from dtwin.serve.served_time import events_path, never_released
 from dtwin.workbench._bench import Here, bench_of
-from dtwin.workbench._pages import drawn, rendered
+from dtwin.workbench._pages import drawn, rendered, when
 
 router = APIRouter()
 _NEWEST = 20
@@ -60,7 +62,9 @@ def live_page(request: Request, bench: Here) -> Response:
     """Show what is served now, and the sessions that ended."""
     home = bench.home
     serving = _servings(home)
-    begun = _never_ended(home, {s.machine for s in serving})
+    silent = _never_ended(home)
+    served = {s.machine for s in serving}
+    begun = {m: last.isoformat() for m, (_, last) in silent.items() if last is not None and m not in served}
     # In another container a process holds its machine as well, and the kernel does not list it here.
     unseen = {machine for machine in begun if is_leased(machine, home)}
     return rendered(
@@ -72,7 +76,7 @@ def live_page(request: Request, bench: Here) -> Response:
         unseen={machine: begun[machine] for machine in sorted(unseen)},
         states={s.machine: live_state(_board(s, home), time.monotonic()) for s in serving},
         seen=_seen(home),
-        sessions=[s | {"outside_share": _outside_share(s), "why": _latched_by(s)} for s in sessions(home)],
+        sessions=_listed(sessions(home), silent),
         events={s.machine: _newest_lines(events_path(home, s.machine))[::-1] for s in serving},
     )
 
@@ -263,12 +267,28 @@ def _is_whole(line: Mapping[str, Any]) -> bool:
     return texts and tables and line.keys() >= _WHOLE and "late_share" in timing
 
 
-def _never_ended(home: Home, serving: Collection[str]) -> dict[str, str]:
-    """Return the machines whose newest server said nothing of its end, and when it began; those of ``serving`` left out."""
+def _never_ended(home: Home) -> dict[str, tuple[list[datetime], datetime | None]]:
+    """Return when sessions began that said nothing of their end, by machine, as ``never_released`` does."""
     paths = sorted(home.logs.glob(f"serve-*{_EVENTS}"))
     machines = [path.name.removeprefix("serve-").removesuffix(_EVENTS) for path in paths]
-    begun = {machine: never_released(home, machine) for machine in machines if machine not in serving}
-    return {machine: at.isoformat() for machine, at in begun.items() if at is not None}
+    return {machine: never_released(home, machine) for machine in machines}
+
+
+def _listed(
+    ended: Sequence[Mapping[str, Any]], silent: Mapping[str, tuple[Sequence[datetime], datetime | None]]
+) -> list[dict[str, Any]]:
+    """Return the sessions that ended, newest first, among them those without a word before the newest of their machine.
+
+    ``seconds``: whether another one of the machine began in the same minute.
+    """
+    told = [{**s, "outside_share": _outside_share(s), "why": _latched_by(s)} for s in ended]
+    for machine, (begun, _) in silent.items():
+        for at in begun:
+            started = at.isoformat()
+            place = next((n for n, s in enumerate(told) if s["started"] <= started), len(told))
+            told.insert(place, {"machine": machine, "started": started, "without_word": True})
+    minutes = Counter((s["machine"], when(s["started"])) for s in told)
+    return [{**s, "seconds": minutes[s["machine"], when(s["started"])] > 1} for s in told]
 
 
 def _newest_lines(path: Path) -> list[Mapping[str, Any]]:

@@ -29,9 +29,9 @@ from dtwin.workbench._jobs import Job, Tell
 _UNKNOWN = ("campaign.unknown", "twin.unknown", "twin.version", "machine.unknown", "page.unknown", "model.unknown")
 
 
-def when(text: str | None) -> str:
-    """Return an ISO 8601 time to the minute, by this computer's clock."""
-    return local_time(text or "").replace("T", " ")[:16] or "not stated"
+def when(text: str | None, seconds: bool = False) -> str:
+    """Return an ISO 8601 time to the minute, or to the second, by this computer's clock."""
+    return local_time(text or "").replace("T", " ")[: 19 if seconds else 16] or "not stated"
 
 
 def zone() -> str:

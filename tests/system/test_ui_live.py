@@ -86,6 +86,18 @@ def test_a_server_that_was_killed_is_said_to_be_gone_until_another_serves(bench:
     )
     path.write_text(f"{json.dumps(begun)}\n{json.dumps(killed)}\n", encoding="utf-8")
     assert "The server of mill-k that began to correct at 2026-03-02 08:00" in bench.ask("/live")[1]
+    # The last one says how it ended: those before it stay in the list.
+    later = [begun | {"session": name, "time": f"2026-03-02T08:02:0{n}+00:00"} for n, name in enumerate("bcd")]
+    lines = [begun, killed, *later, ended | {"session": "d"}]
+    path.write_text("\n".join(map(json.dumps, lines)) + "\n", encoding="utf-8")
+    shown = bench.ask("/live")[1]
+    assert "gone without a word" not in shown
+    assert shown.count("Ended without a word: it was killed, or the power was lost.") == 3
+    assert re.findall(r"<h3>mill-k, ([^<]+)</h3>", shown) == [
+        "2026-03-02 08:02:01",
+        "2026-03-02 08:02:00",
+        "2026-03-02 08:00",
+    ]
     path.write_text(f"{json.dumps(begun)}\n{json.dumps(ended)}\n", encoding="utf-8")
     assert "gone without a word" not in bench.ask("/live")[1]
 

@@ -122,7 +122,7 @@ def test_a_killed_session_and_one_that_never_ended_are_over(home: Home) -> None:
     begin = datetime.now(UTC) + timedelta(milliseconds=1)
     assert between(begin, begin + timedelta(seconds=9)) == ""
     assert serving_now(home, "m") == ""
-    assert never_released(home, "m") == at(100)
+    assert never_released(home, "m") == ([at(0), at(50)], at(100))
 
 
 def test_a_cut_line_and_a_session_of_an_older_version_are_no_evidence(home: Home) -> None:
@@ -136,11 +136,11 @@ def test_a_cut_line_and_a_session_of_an_older_version_are_no_evidence(home: Home
 
 def test_a_killed_session_is_not_released_until_another_ends(home: Home) -> None:
     journal(home, (0, "s", "serving", live()), (9, "s", "link_lost"), (10, "s", "killed"))
-    assert never_released(home, "m") == at(0)
+    assert never_released(home, "m") == ([], at(0))
     journal(home, (20, "t", "serving", {"mode": "dry-run"}), (30, "t", "ended"))
-    assert never_released(home, "m") == at(0)
+    assert never_released(home, "m") == ([], at(0))
     journal(home, (40, "u", "serving", live()), (50, "u", "released"))
-    assert never_released(home, "m") is None
+    assert never_released(home, "m") == ([at(0)], None)
 
 
 def test_a_line_of_the_journal_that_is_no_event_is_left_out(home: Home) -> None:
