@@ -37,7 +37,13 @@ def read_plan_file(path: Path) -> dict[str, Any]:
         ) from error
     except (OSError, ValueError) as error:
         said = getattr(error, "strerror", "") or str(error)
-        raise InputError("the plan cannot be read", code="plan.file", where=str(path), got=said) from error
+        raise InputError(
+            "the plan cannot be read",
+            code="plan.file",
+            where=str(path),
+            got=said,
+            hint="check the path; dtwin machine next MACHINE --out FILE writes a plan",
+        ) from error
 
 
 def planned_campaign(path: Path, unstated: str = DEFAULT_KIND) -> Planned:

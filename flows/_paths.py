@@ -35,6 +35,6 @@ def confined(path: Path) -> Path:
         "a flow started on the page keeps to its folders",
         code="flow.path",
         got=str(path)[:200],
-        allowed=", ".join(map(str, (own, *listed))),
+        allowed=f"what lies below {' or '.join(map(str, (own, *listed)))}",
         hint="dtwin up --allow FOLDER lets flows use a folder",
     )

@@ -18,11 +18,16 @@ def _formatted(exc: BaseException, tb: TracebackType | None = None) -> str:
 
 
 class _WithoutTraces(logging.Filter):
-    """Takes the traceback away from what a user can mend: the command ends with its message."""
+    """Takes the traceback away from what a user can mend, and tells all of its message in lines, as the command does."""
 
     def filter(self, record: logging.LogRecord) -> bool:
-        if record.exc_info and isinstance(record.exc_info[1], DtwinError):
+        error = record.exc_info[1] if record.exc_info else None
+        if isinstance(error, DtwinError):
             record.exc_info = None
+            record.msg, record.args = "%s", (error.render(),)
+        elif "error[" in (said := record.getMessage()):
+            # What Prefect says of a state is quoted as Python does.
+            record.msg, record.args = "%s", (said.replace("\\n", "\n"),)
         return True
 
 

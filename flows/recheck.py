@@ -20,7 +20,7 @@ def recheck_flow(machine: str | None = None, seed: int = 0, blocks: int = 3) -> 
     """Measure each machine with and without its champion; withdraw the ones that harm.
 
     A real machine has to be measured itself: it is left out here, with that reason.
-    The run ends as ``Withdrawn`` when a champion was taken away.
+    The run ends as ``Withdrawn`` when a champion was taken away, as ``Nothing checked`` with the reasons when none could be.
 
     Args:
         machine: Only this one.
@@ -47,6 +47,9 @@ def recheck_flow(machine: str | None = None, seed: int = 0, blocks: int = 3) -> 
     if withdrawn:
         reason = "; ".join(result[name]["reason"] for name in withdrawn)
         return Completed(name="Withdrawn", message=reason, data=result)
+    if result and all(one["verdict"] == "left out" for one in result.values()):
+        reason = "; ".join(f"{name}: {one['reason']}" for name, one in result.items())
+        return Completed(name="Nothing checked", message=reason, data=result)
     return result
 
 

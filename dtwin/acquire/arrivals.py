@@ -61,7 +61,12 @@ class Arrivals:
         self, folder: Path, settle_s: float, wanted: Callable[[Path], bool], clock: Callable[[], float] = time.monotonic
     ) -> None:
         if not folder.is_dir():
-            raise InputError("there is no such folder to watch", code="watch.folder", where=str(folder))
+            raise InputError(
+                "there is no such folder to watch",
+                code="watch.folder",
+                where=str(folder),
+                hint="make the folder, or name another",
+            )
         self.folder, self.settle_s = folder, settle_s
         self._wanted, self._clock = wanted, clock
         self._seen: dict[Path, tuple[Stamp, float]] = {}

@@ -187,6 +187,9 @@ def test_a_user_s_mistake_fails_the_run_with_the_reason(up: Up) -> None:
     assert failed["state"]["type"] == "FAILED"
     assert "no such campaign" in failed["state"]["message"]
     assert "try: dtwin ingest PATH" in failed["state"]["message"]
+    told = [line["message"] for line in up.ask("/logs/filter", {"logs": {"flow_run_id": {"any_": [failed["id"]]}}})]
+    assert any("\n  try: dtwin ingest PATH" in line for line in told)
+    assert not any("\\n" in line or "Traceback" in line for line in told)
     wanted = {"task_runs": {"flow_run_id": {"any_": [failed["id"]]}}}
     assert [t["run_count"] for t in up.ask("/task_runs/filter", wanted)] == [1], "was retried"
 
@@ -198,6 +201,8 @@ def test_a_champion_that_harms_another_machine_is_withdrawn_by_the_flow(up: Up) 
         run(train_flow, campaign="quick")
     left_out = run(recheck_flow, machine=MACHINE)[MACHINE]
     assert (left_out["verdict"], left_out["reason"]) == ("left out", "no champion")
+    told = up.runs_of("recheck")[-1]["state"]
+    assert (told["name"], told["message"]) == ("Nothing checked", f"{MACHINE}: no champion")
     candidate = registry.version(MACHINE, "candidate")
     put_on_trial(up.home, candidate)
     plan = EvidencePlan((("YZ", 150.0, 5000.0),), 2, (4000.0, 6000.0))
