@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import threading
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -99,13 +101,18 @@ def observed(bench: Bench, campaign: str) -> Observations:
     return _loaded(bench, campaign).obs
 
 
+_making: defaultdict[str, threading.Lock] = defaultdict(threading.Lock)
+
+
 def campaign_sheet_of(bench: Bench, campaign: str, machine: str) -> dict[str, Any]:
     """Return the test sheet of a campaign of this machine."""
     # Rows are read of those tests alone that can tell it.
     telling = {kind.name for kind in kinds() if kind.offers("variation")}
     drifts = [one.name for one in bench.campaigns() if one.machine == machine and one.kind in telling]
     variation = variation_of(bench.home, machine, [row for name in drifts for row in bench.run_rows(name)])
-    return sheet_of_campaign(bench.home, campaign, machine, bench.stamp(campaign), variation)
+    # Asked for twice while it is made, it is made once.
+    with _making[campaign]:
+        return sheet_of_campaign(bench.home, campaign, machine, bench.stamp(campaign), variation)
 
 
 def said_together_in(bench: Bench, campaign: str) -> list[dict[str, Any]]:

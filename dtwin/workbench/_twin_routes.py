@@ -140,8 +140,9 @@ def versions_page(
     newest = twins.newest(name)
     right = newest if second is None else twins.newest(name, second)
     left = twins.newest(name, max(1, right.version - 1) if first is None else first)
-    rows = [bench.lake.runs(campaign, left_out=True) for campaign in newest.campaigns]
-    possible = {e.name: e for mine in rows if mine for e in possible_effects(mine, bench.library)}
+    known = {one.name for one in bench.campaigns()}
+    rows = [bench.run_rows(campaign) for campaign in newest.campaigns if campaign in known]
+    possible = {e.name: e for mine in rows for e in possible_effects(mine, bench.library)}
     return rendered(
         request,
         "versions.html",
