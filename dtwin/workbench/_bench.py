@@ -14,7 +14,7 @@ from fastapi import Depends, Request
 
 from dtwin.config import Home
 from dtwin.errors import InputError, StoreError
-from dtwin.lake.rows import meta_of
+from dtwin.kinds.registry import kind_named
 from dtwin.lake.store import Lake
 from dtwin.physics.effect import Effect
 from dtwin.physics.library import Library, campaign_instances
@@ -22,7 +22,7 @@ from dtwin.physics.state import AXES_OF
 from dtwin.pipeline.catalogue import Overview, TwinLine, catalogue, distinct, twin_lines, twins_stamp
 from dtwin.pipeline.kept import stamp_of
 from dtwin.pipeline.machine_history import machine_history
-from dtwin.twins.of_kind import AnyTwins, twins_with
+from dtwin.twins.of_kind import AnyTwin, AnyTwins, twins_with
 from dtwin.twins.verbs import Twins
 from dtwin.workbench._access import Access
 from dtwin.workbench._jobs import Jobs
@@ -154,6 +154,11 @@ class Bench:
         """Return the names of the campaigns of a machine, sorted; of one kind where it is given."""
         return sorted(one.name for one in self.campaigns() if one.machine == machine and kind in ("", one.kind))
 
+    def able_to(self, twin: AnyTwin, verb: str) -> list[str]:
+        """Return the campaigns of a twin whose kind has a verb."""
+        kind_of = {one.name: one.kind for one in self.campaigns()}
+        return [name for name in twin.campaigns if name in kind_of and kind_named(kind_of[name]).offers(verb)]
+
     def history(self, machine: str) -> dict[str, Any]:
         """Return what is known of a machine, its tests, and how its figures went."""
         version = self.lake_version
@@ -227,7 +232,8 @@ def possible_effects(rows: Sequence[Mapping[str, Any]], library: Mapping[str, Ef
     ``rows``: its rows, at least one.
     """
     planes = distinct(rows, "plane")
-    alone = {str(axis) for row in rows if (axis := meta_of(row).condition.get("axis"))}
+    conditions = map(json.loads, distinct(rows, "condition_json"))
+    alone = {str(axis) for condition in conditions if (axis := condition.get("axis"))}
     axes = sorted({axis for plane in planes for axis in AXES_OF[plane]} | alone)
     geometry = json.loads(rows[0]["geometry_json"])
     instances = campaign_instances(library, rows[0]["kind"], planes, axes, geometry)

@@ -20,7 +20,6 @@ from dtwin.report.twin_of_kind import report_of
 from dtwin.twins.machine_twin import MachineComparison, MachineTwin
 from dtwin.twins.measured import Comparison
 from dtwin.twins.of_kind import AnyTwin
-from dtwin.twins.seen import able_to
 from dtwin.twins.several import SeveralComparison
 from dtwin.workbench import _reading as reading
 from dtwin.workbench._bench import Bench, Here, bench_of
@@ -51,8 +50,8 @@ def told_page(request: Request, name: str, on: str = "") -> Response:
         figures=[figure.layout.title.text for figure in figures],
         contradictions=contradiction_lines(twin.as_dict()),
         paths=[c for part in getattr(twin, "members", ()) if isinstance(part, Twin) for c in part.campaigns],
-        learnable=able_to(bench.home, twin, "laws"),
-        correctable=able_to(bench.home, twin, "twin_correction"),
+        learnable=bench.able_to(twin, "laws"),
+        correctable=bench.able_to(twin, "twin_correction"),
         diagnosis=diagnosis,
         told=report_of(diagnosis).diagnosis_text(name, diagnosis) if diagnosis else "",
         parameters=_captioned(twin),

@@ -32,7 +32,6 @@ from dtwin.report.twin_plots import (
 )
 from dtwin.report.twins import found_table, left_of, parameter_table
 from dtwin.twins.registration import waiting, waiting_text
-from dtwin.twins.seen import able_to
 from dtwin.twins.verbs import Twins
 from dtwin.workbench import _reading as reading
 from dtwin.workbench._bench import Here, bench_of, possible_effects
@@ -140,8 +139,7 @@ def versions_page(
     newest = twins.newest(name)
     right = newest if second is None else twins.newest(name, second)
     left = twins.newest(name, max(1, right.version - 1) if first is None else first)
-    known = {one.name for one in bench.campaigns()}
-    rows = [bench.run_rows(campaign) for campaign in newest.campaigns if campaign in known]
+    rows = [bench.run_rows(campaign) for campaign in bench.able_to(newest, "rows")]
     possible = {e.name: e for mine in rows for e in possible_effects(mine, bench.library)}
     return rendered(
         request,
@@ -151,7 +149,7 @@ def versions_page(
         tab="versions",
         twin=newest,
         rungs=rungs,
-        correctable=able_to(bench.home, newest, "twin_correction"),
+        correctable=bench.able_to(newest, "twin_correction"),
         pair=(left, right),
         effects=possible.values(),
         tables=[parameter_table(v) for v in (left, right)],
