@@ -24,6 +24,7 @@ _MOST = 0.65
 """Part of the turn that features may take: what is left must tell the smooth form."""
 _BESIDE_DEG = 20.0
 _THIRD = 0.3
+_FAR_LESS = 2.0
 _QUANTILE = 0.3
 _OF_NORMAL = 0.3853
 """Below it lies that part of the sizes of normal values."""
@@ -93,7 +94,8 @@ def _smooth(mean: Floats) -> Floats:
     """Return the lowest orders of a curve; bins far off them count less.
 
     It begins with all bins, with the lower third of each neighbourhood, and with the upper: of a surface with many gaps or teeth
-    one of them lies on it. The fit that leaves the least at a third of the bins is taken.
+    one of them lies on it, and leaves far less at a third of the bins. Where it does not, the fit to all bins is taken: one to a
+    part may leave a little less there, and run wild elsewhere.
     """
     n = len(mean)
     angle = 2.0 * np.pi * np.arange(n) / n
@@ -104,7 +106,8 @@ def _smooth(mean: Floats) -> Floats:
     low, high = np.quantile(near, (_THIRD, 1.0 - _THIRD), axis=1)
     starts = [np.asarray(part, dtype=np.float64) for part in (np.ones(n), mean <= low, mean >= high)]
     fits = [_settled(design, mean, start) for start in starts]
-    return min(fits, key=lambda fitted: _scale(mean - fitted))
+    leaves = [_scale(mean - fitted) for fitted in fits]
+    return fits[0] if leaves[0] <= _FAR_LESS * min(leaves) else fits[int(np.argmin(leaves))]
 
 
 def _settled(design: Floats, mean: Floats, weight: Floats) -> Floats:

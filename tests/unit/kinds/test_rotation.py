@@ -19,6 +19,7 @@ from unit.kinds.turning_target import Target, table, turned
 from dtwin.cli import app
 from dtwin.errors import InputError
 from dtwin.kinds.registry import kind_named, kinds
+from dtwin.kinds.rotation._features import features_of
 from dtwin.kinds.rotation._files import is_rotation_file
 from dtwin.kinds.rotation._read import _read_rotation
 from dtwin.kinds.rotation._turns import figures_of, turns_of
@@ -181,6 +182,20 @@ def test_an_order_that_is_no_whole_number_is_named(order: float) -> None:
 def test_what_the_grid_of_angles_leaves_of_a_wave_is_no_order() -> None:
     angle = 17.0 + 1.08 * np.arange(9700)
     assert not judged(run_of(angle, np.round(Target(lobes={}, noise_um=0.0).read(angle, 0), 5)))
+
+
+def test_a_groove_is_found_beside_lobes_that_are_finer_than_the_smooth_form() -> None:
+    angle, found = 2.0 * np.pi * (np.arange(120) + 0.5) / 120, 0
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        lobes = sum(
+            rng.uniform(0.05, 0.4) / h**0.5 * np.cos(h * angle + rng.uniform(0.0, 6.3)) for h in (2, 3, 4, 5, 7, 11)
+        )
+        turns = 4.0 * np.cos(angle) + lobes + rng.normal(0.0, 0.02, (25, 120))
+        assert not features_of(turns, 3.0)
+        grooved = turns - 5.0 * np.exp(-(((angle - 2.0) / 0.05) ** 2))
+        found += any(f.height_um < -2.0 and f.width_deg <= 15.0 for f in features_of(grooved, 3.0))
+    assert found >= 48
 
 
 def test_a_feature_of_one_turn_alone_is_no_form() -> None:
