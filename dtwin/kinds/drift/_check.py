@@ -26,7 +26,7 @@ _JUMPS = 50.0
 _OF_SPAN = 0.25
 _NOISY = 0.1
 _CHANCE = 1e-3
-_PAUSE_S, _TIMES_PAUSE, _LISTED = 300.0, 10.0, 4
+_PAUSE_S, _TIMES_PAUSE, _USUAL_PCT, _LISTED = 300.0, 10.0, 90.0, 4
 _HOUR_S = 3600.0
 _MOST_APART = 2.0
 """How far two runs of one machine may differ before a step size that is stated for one of them is doubted."""
@@ -74,7 +74,9 @@ def judge_drift(run: Run) -> list[Finding]:
         )
         findings.append(Finding("drift.touched", "warning", said, {"steps_1": float(len(touched))}))
     pauses = np.diff(series.t_s)
-    long = np.flatnonzero(pauses > max(_PAUSE_S, _TIMES_PAUSE * float(np.median(pauses[pauses > 0.0], axis=None))))
+    # Most pauses may be those within samples that are read several times.
+    usual_s = float(np.percentile(pauses[pauses > 0.0], _USUAL_PCT)) if pauses.any() else 0.0
+    long = np.flatnonzero(pauses > max(_PAUSE_S, _TIMES_PAUSE * usual_s))
     if long.size:
         first = series.t_s[long[0]] / 60.0
         said = (

@@ -653,6 +653,10 @@ def test_a_pause_is_told() -> None:
     (said,) = [f for f in judge_drift(paused) if f.code == "drift.gap"]
     assert said.numbers["longest_s"] == pytest.approx(3000.0, abs=120.0)
     assert "summer time" not in said.message
+    # A place that is read three times, every 340 s, pauses as it was told to.
+    at = np.arange(run.n_samples)
+    thrice = replace(run, samples={**run.samples, "t_s": 340.0 * (at // 3) + 3.0 * (at % 3)})
+    assert "drift.gap" not in {f.code for f in judge_drift(thrice)}
 
 
 def test_a_pause_of_an_hour_and_a_reading_looks_like_a_clock_that_was_set() -> None:
