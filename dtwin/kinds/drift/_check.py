@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -28,6 +29,8 @@ _NOISY = 0.1
 _CHANCE = 1e-3
 _PAUSE_S, _TIMES_PAUSE, _USUAL_PCT, _LISTED = 300.0, 10.0, 90.0, 4
 _HOUR_S = 3600.0
+_SLIP_C, _OTHER_UNIT_C = 1.0, 10.0
+"""Steps of a sensor that are told here; what is beyond was told as it was read."""
 _MOST_APART = 2.0
 """How far two runs of one machine may differ before a step size that is stated for one of them is doubted."""
 _UNITS = {
@@ -38,6 +41,22 @@ _UNITS = {
 _STANDS = "a sensor stands, see the warning: what is missing is not told of this log before the sensor is left out, or the log ended there"
 _NEAR = 0.06
 """Share by which a factor may miss that of a unit."""
+
+
+def _slipped(series: Series) -> list[Finding]:
+    """Return the sensors that stepped alone between two readings and stayed: what heats a machine steps no sensor so, or several."""
+    found = []
+    for channel, values in series.temperatures_c.items():
+        for step in shifts(replace(series, moved_um=values)):
+            at = int(np.flatnonzero(series.t_s == step.at_s)[0])
+            others = [np.abs(v[at] - v[at - 1]) for name, v in series.temperatures_c.items() if name != channel]
+            if _SLIP_C <= abs(step.size_um) <= _OTHER_UNIT_C and max(others, default=0.0) < 0.5 * abs(step.size_um):
+                said = (
+                    f"{Term('steady', channel).name} steps by {step.size_um:z.1f} °C between two readings after {step.at_s / 60.0:z.0f} min and stays, "
+                    "and no other sensor does: it slipped or was touched, or what it sits on was flooded; what follows from it is suspect"
+                )
+                found.append(Finding("drift.sensor_steps", "warning", said, {"step_k": step.size_um}))
+    return found
 
 
 def judge_drift(run: Run) -> list[Finding]:
@@ -89,6 +108,7 @@ def judge_drift(run: Run) -> list[Finding]:
                 "; it is an hour and a usual pause: a clock that was set forward, by summer time or by hand, looks so"
             )
         findings.append(Finding("drift.gap", "warning", said, {"longest_s": float(pauses.max())}))
+    findings += _slipped(series)
     # What a correction leaves may be little more than noise.
     if not run.meta.correction and _still(series):
         said = f"what moved is no more than readings of one sample scatter, {series.floor_um:z.1f} µm: there is nothing to tell"

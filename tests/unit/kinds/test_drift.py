@@ -659,6 +659,16 @@ def test_a_pause_is_told() -> None:
     assert "drift.gap" not in {f.code for f in judge_drift(thrice)}
 
 
+def test_a_sensor_that_steps_alone_is_told() -> None:
+    run = _touched(0.0)
+    step = 2.0 * (run.samples["t_s"] > 12_500.0)
+    names = [name for name in run.samples if name.startswith("temperature_")]
+    for stepping, told in ((names[:1], 1), (names[:2], 0)):
+        stepped = {name: run.samples[name] + step for name in stepping}
+        found = judge_drift(replace(run, samples=run.samples | stepped))
+        assert [f.code for f in found].count("drift.sensor_steps") == told
+
+
 def test_a_pause_of_an_hour_and_a_reading_looks_like_a_clock_that_was_set() -> None:
     run = _touched(0.0)
     t_s = run.samples["t_s"]
