@@ -12,7 +12,7 @@ from dtwin.documents import finite
 from dtwin.errors import InputError
 from dtwin.features.time_alone import ALPHA, MATERIAL, TIME_ALONE, share_taken
 from dtwin.kinds.drift._model import Series, Term, fitted, held_out, held_out_um, left_with_time
-from dtwin.kinds.drift._search import Addition, additions, best_lag, idle
+from dtwin.kinds.drift._search import Addition, additions, best_lag, idle, together
 from dtwin.statistics import gain_tail, rms
 from dtwin.units import shown_number
 
@@ -130,19 +130,29 @@ def diagnose(series: Series, terms: Sequence[Term]) -> DriftDiagnosis:
     return DriftDiagnosis(verdict, said, figures, tuple(tried), group, idle(series, terms))
 
 
-def beside_noise(series: Series, left_um: float) -> tuple[Verdict, str]:
-    """Return the verdict on what is left (µm RMS) on times held out when no effect surely explains it, and why.
+def explained_together(series: Series, terms: Sequence[Term]) -> tuple[Term, ...]:
+    """Return what explains all but noise when the search begins with every sensor; nothing where terms do, or nothing does."""
+    left = rms(held_out_um(series, terms))
+    if beside_noise(series, left)[0] != "unknown_effect":
+        return ()
+    return together(series, terms, _BEYOND * _noise_um(series))
 
-    Without readings that were repeated at once, readings that follow each other bound the noise from above.
-    """
-    floor, noise = series.floor_um, "the noise of a reading"
-    if not np.isfinite(floor):
-        floor, noise = series.next_um, "what readings that follow each other scatter by"
+
+def _noise_um(series: Series) -> float:
+    """Return the noise of a reading; without readings that were repeated at once its bound by those that follow each other."""
+    return series.floor_um if np.isfinite(series.floor_um) else series.next_um
+
+
+def beside_noise(series: Series, left_um: float) -> tuple[Verdict, str]:
+    """Return the verdict on what is left (µm RMS) on times held out when no effect surely explains it, and why."""
+    floor, noise = _noise_um(series), "the noise of a reading"
+    if not np.isfinite(series.floor_um):
+        noise = "what readings that follow each other scatter by"
         if not left_um > _BEYOND * floor:
             return "need_repeats", "no reading was repeated at once, so that nobody knows what is noise"
     if left_um > _BEYOND * floor:
         said = f"{left_um:z.1f} µm are left on times held out, {left_um / floor:z.1f} times {noise}"
-        return "unknown_effect", f"{said}; no sensor, lag or curve surely explains it"
+        return "unknown_effect", f"{said}; no sensor, lag or curve surely explains it alone"
     return "nothing_missing", f"what is left on times held out, {left_um:z.1f} µm, is noise ({floor:z.1f} µm)"
 
 

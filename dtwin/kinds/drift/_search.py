@@ -92,6 +92,31 @@ def rung(terms: Sequence[Term], best: Addition | None, gone: Sequence[Term]) -> 
     return best.terms if best is not None else tuple(term for term in terms if term != gone[0])
 
 
+def together(series: Series, terms: Sequence[Term], most_um: float) -> tuple[Term, ...]:
+    """Return what a search finds that begins with every sensor, where it leaves no more than so much on times held out and,
+    without what takes less than half of the squares, surely less than terms do; else nothing.
+
+    A sensor may tell nothing while others are absent. What takes less than half may stand for what no term describes.
+    """
+    found: tuple[Term, ...] = tuple(Term("steady", channel) for channel in series.temperatures_c)
+    for _ in range(MOST_RUNGS):
+        best = next((one for one in additions(series, found) if one.pays), None)
+        gone = idle(series, found) if best is None else ()
+        if best is None and not gone:
+            break
+        found = rung(found, best, gone)
+    model = held_out(series, found)
+    if not model.squares.sum() <= len(series.t_s) * most_um**2:
+        return ()
+    while found:
+        takes = [share_taken(without, model.squares) for without in without_each(model, found)]
+        if min(takes) >= _FAR_LESS:
+            break
+        found = rung(found, None, [found[int(np.argmin(takes))]])
+        model = held_out(series, found)
+    return () if is_no_less(held_out(series, terms).squares, model.squares) else found
+
+
 def _needed_alone(series: Series, terms: tuple[Term, ...]) -> tuple[Term, ...]:
     """Return terms without those that pay nothing, taken out one after the other."""
     while gone := idle(series, terms):

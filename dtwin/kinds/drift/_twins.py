@@ -20,6 +20,7 @@ from dtwin.kinds.drift._diagnosis import (
     diagnose,
     drift_figures_of,
     effect_of,
+    explained_together,
     joined,
     same,
     written,
@@ -123,7 +124,10 @@ class DriftTwins(TermTwins[Term, Loaded, DriftTwin, DriftDiagnosis]):
         return DriftComparison(twin, loaded, twin.left_um(loaded.series))
 
     def discover(self, name: str, *, seed: int = 0) -> tuple[list[DriftTwin], list[tuple[str, ...]], DriftDiagnosis]:
-        """Diagnose and add until nothing pays; what pays nothing beside the others is then taken out, one after the other."""
+        """Diagnose and add until nothing pays; what pays nothing beside the others is then taken out, one after the other.
+
+        Where more than noise is left, the search begins anew with every sensor: what that finds, if it explains all, is one step.
+        """
         twin = self.newest(name)
         loaded = load(self.home, twin.campaign)
         made: list[DriftTwin] = []
@@ -135,13 +139,20 @@ class DriftTwins(TermTwins[Term, Loaded, DriftTwin, DriftDiagnosis]):
             else:
                 gone = said.idle[0]
                 action, group = f"remove {written(gone)}: it pays nothing beside the others", ()
-                groups = [group for group in groups if group[0] != written(gone)]
             terms = rung(twin.terms, said.group[0] if said.group else None, said.idle)
             twin = self._store(name, loaded, terms, action, twin.version)
             made.append(twin)
             groups += [group] if group else []
             said = self._diagnosed(twin, loaded)
-        return made, groups, said
+        if found := explained_together(loaded.series, twin.terms):
+            twin = self._store(
+                name, loaded, found, f"begin with every sensor: {', '.join(map(written, found))}", twin.version
+            )
+            made.append(twin)
+            groups += [(label,) for label in twin.labels]
+            said = self._diagnosed(twin, loaded)
+        told = {group[0]: group for group in reversed(groups) if group[0] in twin.labels}
+        return made, [told[label] for label in twin.labels if label in told], said
 
     def readings(self, loaded: Loaded) -> int:
         return len(loaded.series.t_s)

@@ -13,7 +13,7 @@ from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.kinds.drift._check import judge_drift
 from dtwin.kinds.drift._data import Loaded
-from dtwin.kinds.drift._diagnosis import DriftDiagnosis, asked, diagnose, joined, written
+from dtwin.kinds.drift._diagnosis import DriftDiagnosis, asked, diagnose, explained_together, joined, written
 from dtwin.kinds.drift._evidence import _AGAIN, _column_of, _probed, drift_errors, simulate_drift
 from dtwin.kinds.drift._model import Series
 from dtwin.kinds.drift._twins import DriftTwins
@@ -87,6 +87,17 @@ def test_what_settles_takes_no_sensor_along_and_is_told_as_time() -> None:
     settled = diagnose(replace(warmed, moved_um=-20.0 * once + rng.normal(0.0, 0.25, t_s.size)), ())
     assert (settled.verdict, settled.alike) == ("ambiguous", ("follows@oven", "time alone"))
     assert "warms and cools again" in settled.as_dict()["next_experiment"]["text"]
+
+
+def test_sensors_that_tell_only_together_are_found_where_they_explain_all() -> None:
+    rng, t_s = np.random.default_rng(5), 60.0 * np.arange(700)
+    hall, own = (np.convolve(rng.normal(0.0, 1.0, 900), np.ones(201) / 14.0, "valid") for _ in range(2))
+    read = {"temperature_front_c": 20.0 + 9.0 * hall + own, "temperature_back_c": 20.0 + 9.0 * hall}
+    series = Series(t_s, 5.0 * own + rng.normal(0.0, 0.3, t_s.size), read, None)
+    assert diagnose(series, ()).verdict == "unknown_effect"
+    assert [written(term) for term in explained_together(series, ())] == ["follows@front", "follows@back"]
+    waved = replace(series, moved_um=series.moved_um + 2.0 * np.sin(2.0 * np.pi * t_s / 4000.0))
+    assert explained_together(waved, ()) == ()
 
 
 def test_two_sensors_that_read_alike_are_ambiguous() -> None:
