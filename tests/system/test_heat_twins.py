@@ -95,31 +95,30 @@ def test_a_hidden_motion_is_named_and_the_error_falls_to_the_floor(said: Said) -
     assert {place["axis"] for place in found["where"]} <= {"X", "Y"}, "a turn about Z"
     added = said("add", "h", ecx1["effect"], "--axis", ecx1["axis"])
     assert added["before"] == fitted["figures"]
-    assert added["figures"]["rms_after_um"] < 1.08 * floor
-    # Every motion that acts is in the twin, but 26 cycles do not tell all that drives each: the rest is told, and not named.
+    assert added["figures"]["rms_after_um"] < 1.3 * floor
+    # Every motion that acts is in the twin, but 26 cycles do not tell what drives one of them from time: that is told, and not named.
     last = said("diagnose", "h")
-    assert [last["verdict"], *{c["add"] for c in last["candidates"]}] == ["unknown_effect", None]
-    assert all(c["seen_um"] < 0.4 * floor for c in last["candidates"])
-    assert (
-        f"{last['systematic_rms_um']:.2g} µm more than noise at the balls (p {last['lack_of_fit_p']:.1g})"
-        in last["headline"]
+    assert (last["verdict"], [(c["effect"], c["as_time_alone"]) for c in last["candidates"]]) == (
+        "ambiguous",
+        [("EC0", ["column_top"])],
     )
+    assert "so does time alone" in last["headline"]
     rungs = said("history", "h")["rungs"]
-    assert [(r["action"], r["verdict"]) for r in rungs] == [("fit", "missing_effect"), ("add ECX1", "unknown_effect")]
+    assert [(r["action"], r["verdict"]) for r in rungs] == [("fit", "missing_effect"), ("add ECX1", "ambiguous")]
     assert rungs[0]["group"] == ["ECX1"]
     versions = Registry(home()).client.search_model_versions("name='twin-h'")
-    assert {v.tags["verdict"] for v in versions} == {"missing_effect", "unknown_effect"}
+    assert {v.tags["verdict"] for v in versions} == {"missing_effect", "ambiguous"}
 
 
 def test_what_was_left_out_is_found_again_one_by_one(said: Said) -> None:
     begun = "rigid_shift,squareness_drift,guideway_bending,carriage_turning,ECX1"
     said("fit", "hidden", "--effects", begun, "--name", "ladder")
     found = said("discover", "ladder")
-    assert not any(c["add"] for c in found["final"]["candidates"])
+    assert not any(c["add"] and not c["as_time_alone"] for c in found["final"]["candidates"])
     assert {label.partition("@")[0] for label in found["added"]} >= {"EXX1", "EYY1", "EZZ1", "EA0", "EB0"}
     errors = [rung["rms_after_um"] for rung in found["history"]]
     assert errors == sorted(errors, reverse=True)
-    assert errors[-1] < 1.1 * found["final"]["noise_floor_um"] < 0.2 * errors[0]
+    assert errors[-1] < 1.3 * found["final"]["noise_floor_um"] < 0.2 * errors[0]
 
 
 def test_what_no_thermocouple_tells_is_unknown_and_the_logged_cause_is_named(said: Said) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,7 @@ from dtwin.kinds.volumetric._chain import COEFFICIENTS, Identifiability, design,
 from dtwin.schema import Floats
 
 FIXED_POSE = 0
+_CYCLES_FOR_NOISE, _ORDERS_FOR_NOISE = 30, (1, 2, 3)
 Numbers = NDArray[np.int64]
 
 
@@ -77,7 +78,7 @@ class Artefact:
     ``held_out``: poses that are left out of the fit.
     ``pose_repeat_um``: how well the array comes back to the place of the reference cycle (um, and um/m for its turn): a
     standard deviation; infinite when it may stand anywhere.
-    ``noise_um``: standard deviation of how the probe finds a coordinate in two cycles.
+    ``noise_um``: standard deviation of how the probe finds a coordinate in two cycles; how strongly places are held is by it.
     """
 
     strokes_mm: Mapping[str, tuple[float, float]]
@@ -98,6 +99,22 @@ class Artefact:
         moved = -(cycle.error_um[mine] - reference.error_um[theirs])
         shown = Balls(cycle.position_mm[mine], cycle.error_um[mine], cycle.pose[mine], cycle.ball[mine])
         return shown, moved
+
+    def with_noise_of(self, moved: Sequence[tuple[Balls, Floats]]) -> Artefact:
+        """Return the same with the noise that cycles show (median), wherever the array stood and however the machine moved."""
+        every = tuple(f"E{letter}{axis}{order}" for letter in "XYZABC" for axis in "XZY" for order in _ORDERS_FOR_NOISE)
+        free = replace(self, pose_repeat_um=float("inf"), names=tuple(dict.fromkeys((*self.names, *every))), _ready={})
+        shown = []
+        for balls, moved_um in moved[:: -(-len(moved) // _CYCLES_FOR_NOISE)]:
+            use = ~np.isin(balls.pose, self.held_out)
+            columns = free._columns(balls, use)[: 3 * int(use.sum())]
+            y = moved_um[use].ravel()
+            found, _, rank, _ = np.linalg.lstsq(columns, y)
+            if len(y) > rank:
+                left = y - columns @ found
+                shown.append(float(np.sqrt(left @ left / (len(y) - rank))))
+        noise_um = float(np.median(shown)) if shown else 0.0
+        return replace(self, noise_um=noise_um, _ready={}) if noise_um > 0.0 else self
 
     def identify(self, balls: Balls, moved_um: Floats) -> Identified:
         """Return the error motions that explain how the tool point moved. ``moved_um``, (n, 3): how it moved."""

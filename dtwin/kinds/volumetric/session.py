@@ -110,6 +110,7 @@ def session_in(lake: Lake, name: str, progress: Progress) -> Session:
     runs, balls = [runs[n] for n, _ in sound], [cycle for _, cycle in sound]
     reference = averaged_balls(balls[:REFERENCE_CYCLES])
     moved = tuple(artefact.variation_um(cycle, reference) for cycle in balls)
+    artefact = artefact.with_noise_of(moved)
     found = []
     for number, (where, by) in enumerate(moved):
         found.append(artefact.identify(where, by))

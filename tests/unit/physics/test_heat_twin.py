@@ -248,6 +248,27 @@ def test_what_balls_leave_and_what_motions_leave_add_up() -> None:
         Artefact(strokes, held_out=(2,)).settle(balls, moved)
 
 
+@pytest.mark.parametrize("noise_um", [0.2, 3.0])
+def test_how_strongly_places_are_held_is_by_the_noise_of_this_probe(noise_um: float) -> None:
+    rng = np.random.default_rng(12)
+    strokes = {"x": (30.0, 1460.0), "y": (50.0, 1200.0), "z": (460.0, 1490.0)}
+    low, high = np.array([strokes[axis] for axis in "xyz"]).T
+    pose = np.repeat(np.arange(9), 14)
+    middle = rng.uniform(low + 250.0, high - 250.0, (9, 3))
+    place = middle[pose] + rng.uniform(-250.0, 250.0, (126, 3))
+    balls = Balls(place, np.zeros((126, 3)), pose, np.tile(np.arange(14), 9))
+    moved = []
+    for _ in range(40):
+        shift, turn = rng.normal(0.0, 1.5, (2, 9, 3)) * (np.arange(9) > 0)[:, None]
+        stood = shift[pose] + np.cross(turn[pose], 1e-3 * (place - middle[pose]))
+        moved.append((balls, stood + rng.normal(0.0, noise_um, (126, 3))))
+    artefact = Artefact(strokes, pose_repeat_um=1.5).with_noise_of(moved)
+    assert artefact.noise_um == pytest.approx(noise_um, rel=0.1)
+    settled = [artefact.settle(*one) for one in moved]
+    off = np.array([one.values / np.sqrt(np.diag(one.covariance)) for one in settled])
+    assert 0.85 < np.sqrt(np.mean(off**2)) < 1.15
+
+
 def test_figures_without_a_twin_are_the_error_itself() -> None:
     made = series({"EXX1": BED})
     figures = heat_figures(made, made.values)
