@@ -25,6 +25,8 @@ SPOKEN_OF = 0.1
 # An exponent that is known no better tells nothing of a law.
 _VAGUE = 0.3
 _DWARFED = 0.4
+# So much of what moves with a channel its law may leave there, along an axis.
+_LATE = 0.2
 # So much of what is left of conditions left out an effect foretells that is no part of something larger.
 _FORETOLD = 0.4
 # The shape of a wave of any length.
@@ -49,11 +51,12 @@ _SAME_LENGTH = 0.01
 Tests = Mapping[str, Mapping[str, Sequence[LawTest]]]
 
 
-def doubted(found: Search, late: bool, tests: Tests) -> list[Found]:
+def doubted(found: Search, late_um: float, tests: Tests) -> list[Found]:
     """Return the effects whose laws are broken, or that foretell nothing.
 
-    ``late``: a channel of the library's own still moves with what is left.
+    ``late_um``: what still moves with a channel of the library's own, RMS.
     """
+    may_leave = _LATE if found.plain.obs.there_and_back else 0.0
     return [
         f
         for f in found.found
@@ -63,7 +66,7 @@ def doubted(found: Search, late: bool, tests: Tests) -> list[Found]:
         or f.gain <= 0.0
         or f.size_um <= 0.0
         or _is_local(f, found.plain.obs)
-        or (late and f.top.term.instance.effect.within_condition)
+        or (late_um > may_leave * f.size_um and f.top.term.instance.effect.within_condition)
         or _is_weak(f, tests[f.label][f.label], found)
     ]
 

@@ -18,6 +18,8 @@ from dtwin.schema import Floats
 _LARGER = 3.0
 # What warms up for a tenth of a test stands, in the mean, for so many times what it moves.
 _STILL = 5.0
+# The same of what turns with the direction, in runs there and back: a pass in which all of it happens is followed by one back.
+_STILL_BOTH_WAYS = 1.0
 # Of the shapes of several effects, by their singular values, what is less is none.
 _SHAPE = 0.25
 # Half of an effect, or of the mean square of what is left.
@@ -45,9 +47,9 @@ def trusted(found: Search, doubted: Sequence[Found], much: bool) -> list[Found]:
     # What moves with a channel, but not as the library says, may also stand still in part.
     moving = [f for f in doubted if f.top.term.instance.effect.within_condition]
     if moving:
-        still_um = _STILL * sum(f.size_um for f in moving)
+        moved_um = sum(f.size_um for f in moving)
         shapes = _shapes(moving, obs)
-        kept = [f for f in kept if f.size_um > still_um or _share_in(f, shapes, obs) < _APART]
+        kept = [f for f in kept if f.size_um > _still(f, obs) * moved_um or _share_in(f, shapes, obs) < _APART]
     while True:
         means = localise.condition_means(obs, unknown)
         doubtful = [
@@ -60,6 +62,12 @@ def trusted(found: Search, doubted: Sequence[Found], much: bool) -> list[Found]:
             return kept
         kept = [f for f in kept if f not in doubtful]
         unknown = unknown + sum_um(doubtful, obs)
+
+
+def _still(effect: Found, obs: Observations) -> float:
+    """Return how many times what moves with a channel may look like an effect in the mean of all runs."""
+    turns = effect.top.term.instance.effect.law.direction == "odd"
+    return _STILL_BOTH_WAYS if turns and obs.there_and_back else _STILL
 
 
 def _rms_um(means: Floats) -> float:

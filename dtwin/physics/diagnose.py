@@ -178,7 +178,7 @@ def _searched(
         shown_by_channel=shown_by_channel,
     )
     found = again()
-    if found.best is not None and found.best.exact and doubted(found, False, _tests(found)):
+    if found.best is not None and found.best.exact and doubted(found, 0.0, _tests(found)):
         # What is small may then be how far others are off.
         other = again(before=found)
         if _doubted_um(other) <= _doubted_um(found):
@@ -189,7 +189,7 @@ def _searched(
 def _doubted_um(found: Search) -> float:
     """Return the size of what is found and doubted, RMS."""
     obs = found.plain.obs
-    return localise.systematic_rms_um(obs, sum_um(doubted(found, False, _tests(found)), obs))
+    return localise.systematic_rms_um(obs, sum_um(doubted(found, 0.0, _tests(found)), obs))
 
 
 def _once(
@@ -255,9 +255,11 @@ def _concluded(
         return _nothing_found(blank, found, candidates, known, channels, words)
     moving = screen_channels(found.last, seed) if channels else ()
     # A channel of the library's own that still moves with what is left has not been explained.
-    late = any(not _is_foreign(c.name, library) for c in moving)
+    late_um = (
+        blank.noise_floor_um * max((c.share for c in moving if not _is_foreign(c.name, library)), default=0.0) ** 0.5
+    )
     much = _much_left(found, blank.noise_floor_um)
-    doubts = doubted(found, late, tests)
+    doubts = doubted(found, late_um, tests)
     doubts += [f for f in halves_of_lobes(found, bare, candidates) if f not in doubts]
     doubts += hidden_by(doubts, found, tests)
     least_um = _BESIDE_LAWS * blank.noise_floor_um if unknown else 0.0
