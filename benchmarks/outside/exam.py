@@ -9,6 +9,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from statistics import median
 from typing import Any, Protocol
 
@@ -33,6 +34,28 @@ class Fault(Protocol):
     @property
     def consequences(self) -> frozenset[str]:
         """What is true of the machine because of it."""
+
+
+@dataclass(frozen=True)
+class Cause:
+    """A fault of a machine that is measured in a folder; ``um``: what it makes alone, RMS."""
+
+    kind: str
+    names: frozenset[str]
+    consequences: frozenset[str]
+    um: float
+
+    def __str__(self) -> str:
+        return self.kind
+
+
+def written_table(where: Path, columns: Mapping[str, Any], *, german: bool = False) -> None:
+    """Write columns of numbers as a table: with commas, or as a German spreadsheet writes it."""
+    apart, point = (";", ",") if german else (",", ".")
+    rows = [
+        apart.join(f"{value:.9g}".replace(".", point) for value in row) for row in zip(*columns.values(), strict=True)
+    ]
+    where.write_text("\n".join([apart.join(columns), *rows]) + "\n")
 
 
 @dataclass(frozen=True)

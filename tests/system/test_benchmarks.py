@@ -66,6 +66,7 @@ def test_none_is_left_out() -> None:
         "next_test.py",
         "one_cobot.py",
         "outside_axis.py",
+        "outside_home.py",
         "outside_machine.py",
         "outside_tone.py",
         "plant_year.py",
@@ -290,6 +291,17 @@ def test_outside_tone() -> None:
     # Nothing is wrong, and nothing is said to be.
     assert (null["faults that show"], null["named"], null["false names per machine"]) == (0, 0, 0.0)
     assert found["mechanisms"] == [{"mechanism": "servo loop", "shows": 1, "named": single["named"]}]
+
+
+@pytest.mark.long
+def test_outside_home() -> None:
+    found = short("outside_home.py")
+    arm, drift = found["rows"]
+    assert (arm["row"], drift["row"]) == ("arm-single", "drift-single")
+    # An offset of the elbow is told, among more than three names; what follows the bed is named.
+    assert (arm["faults that show"], arm["false names per machine"], arm["something unresolved"]) == (1, 0.0, 0)
+    assert (drift["faults that show"], drift["named"], drift["false names per machine"]) == (1, 1, 0.0)
+    assert found["mechanisms"][0] == {"mechanism": "follows", "shows": 1, "named": 1}
 
 
 @pytest.mark.long
