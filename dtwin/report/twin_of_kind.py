@@ -42,7 +42,7 @@ class TwinReport(Protocol):
 def discovery_text(payload: Mapping[str, Any], least_gain: float) -> str:
     """Return what was found for the terminal: versions, every name with those that the runs cannot tell from it, what is left.
 
-    ``payload``: twin, groups of the effects added, the effect first, history, and the last diagnosis.
+    ``payload``: twin, the actions of its new versions, groups of the effects added, the effect first, history, and the last diagnosis.
     ``least_gain``: on conditions that were left out, below which nothing was added.
     """
     rungs, groups, last = payload["history"], payload["groups"], payload["final"]
@@ -50,7 +50,7 @@ def discovery_text(payload: Mapping[str, Any], least_gain: float) -> str:
     if not groups:
         return f"{history_text(rungs)}\n\n{rest}"
     lines = _found_lines(groups, payload["effects"])
-    before, left = (rungs[n].get("systematic_rms_um") for n in (-1 - len(groups), -1))
+    before, left = (rungs[n].get("systematic_rms_um") for n in (-1 - len(payload["added"]), -1))
     if before and left is not None:
         share = 100.0 * left / before
         lines.append(

@@ -137,13 +137,17 @@ def test_every_group_what_is_left_and_what_was_not_added_is_told() -> None:
         for n, um in enumerate((4.0, 1.0, 0.02), start=1)
     ]
     groups = [["squareness XY"], ["servo_lag", "scale_mismatch XY"]]
-    payload = {"twin": "t", "groups": groups, "effects": [], "history": rungs, "final": said.as_dict()}
+    payload = {"twin": "t", "added": ["squareness XY", "servo_lag"], "groups": groups, "effects": []}
+    payload |= {"history": rungs, "final": said.as_dict()}
     lines = [line.strip() for line in discovery_text(payload, 0.25).splitlines()]
     assert lines[2].endswith("squareness XY; lateral_play X or backlash X")
     at = lines.index("found")
     assert lines[at + 1 : at + 3] == ["squareness XY", "servo_lag or scale_mismatch XY"]
     assert lines[at + 3].endswith("µm are left (0 %)")
     assert lines[at + 4].startswith("not added: friction X: foretells less than 25 % of what")
+    # One version may add what is in several groups.
+    at_once = discovery_text(payload | {"added": ["both"], "history": rungs[1:]}, 0.25)
+    assert "of 1.00 µm RMS that repeats agree on" in at_once
     assert "found" not in discovery_text(payload | {"groups": []}, 0.25).split("\n")
     effects = [
         {"effect": "squareness", "axis": "XY", "size": "12.1 ± 0.4 µm/m", "makes_um": 0.42},
