@@ -14,7 +14,7 @@ from dtwin.physics.gridding import CIRCLE
 from dtwin.physics.observations import Observations
 from dtwin.physics.twin import Twin, data_lines
 from dtwin.report.encoder_split import encoder_section, encoder_text, tells
-from dtwin.report.faults import faults, not_told, told_of, undecided_lines, with_k2
+from dtwin.report.faults import faults, not_told, title_of, told_of, undecided_lines, with_k2
 from dtwin.report.html import Part, Section, Table, parts_text, told_section
 from dtwin.report.text import listed, micrometres, table
 from dtwin.report.twin_plots import along_figure, overlay_figure, ranked_figure, residual_map, waterfall_figure
@@ -23,6 +23,7 @@ from dtwin.statistics import deviation_interval
 from dtwin.units import shown_number, shown_unit
 
 if TYPE_CHECKING:
+    from dtwin.physics.effect import Effect
     from dtwin.twins.measured import Comparison
 
 _OVERLAYS = 4
@@ -235,11 +236,14 @@ def _sizes_of_first(group: Sequence[Mapping[str, Any]]) -> str:
     return f"{words}, if it is the first alone" if words and len(group) > 1 else words or "-"
 
 
-def found_table(result: Mapping[str, Any]) -> Table:
-    """Return every effect that was found, with what cannot be told from it and what was tested."""
+def found_table(result: Mapping[str, Any], library: Mapping[str, Effect] | None = None) -> Table:
+    """Return every effect that was found, with what cannot be told from it and what was tested.
+
+    Effects are named as commands take them, with a library by their titles.
+    """
     rows = [
         (
-            listed([f"{c['effect']} {c['axis']}".strip() for c in group], " or "),
+            listed([title_of(f"{c['effect']} {c['axis']}".strip(), library or {}) for c in group], " or "),
             micrometres(group[0]["size_um"]),
             _sizes_of_first(group),
             f"{100 * group[0]['cv_gain']:z.1f} %",

@@ -109,7 +109,7 @@ def diagnose_page(request: Request, bench: Here, name: str) -> Response:
         twin=twin,
         diagnosis=diagnosis,
         grids=grids_of(experiment) if planned else [],
-        found=found_table(diagnosis or {}),
+        found=found_table(diagnosis or {}, bench.library),
         left=left_of(diagnosis or {}),
         reported={f"{c['effect']} {c['axis']}".strip() for group in (diagnosis or {}).get("found", ()) for c in group},
         faults=grouped([[fault] for fault in faults(twin, diagnosis, bench.library)], lambda alike: alike[0].group),
