@@ -36,6 +36,7 @@ _RESOLVED, _CLEARLY = 2.0, 0.5
 _FEW_BINS, _DRAWS, _AT = 100, 2000, 0.05
 _Complexes = NDArray[np.complex128]
 _Key = tuple[str, tuple[tuple[str, float], ...]]
+_NOT_CHANGED = {"radius": "the radius was not changed", "amplitude": "the amplitude was not changed"}
 
 
 @dataclass(frozen=True)
@@ -192,7 +193,7 @@ def applicable(
         if silent:
             untestable[instance.label] = f"{', '.join(silent)} is not stated in the machine's geometry"
         elif effect.told_by and len({c.swept.get(effect.told_by) for c in obs.conditions}) == 1:
-            untestable[instance.label] = f"the {effect.told_by} was not changed"
+            untestable[instance.label] = _NOT_CHANGED[effect.told_by]
         elif absent:
             untestable[instance.label] = f"{', '.join(absent)} was not logged"
         elif effect.within_condition and _never_changed(obs, effect):
