@@ -8,6 +8,8 @@ from __future__ import annotations
 import contextlib
 import os
 import sys
+import threading
+import time
 from pathlib import Path
 
 from dtwin.config import Home, quiet_environment
@@ -18,15 +20,25 @@ from dtwin.twins.registration import log_next
 
 # Nobody waits for MLflow.
 _POLITE = 10
+# Between two looks whether the home is still there.
+_LOOKS_S = 5.0
 
 
 def _main(root: Path, names: list[str]) -> None:
+    threading.Thread(target=_end_without, args=(root,), daemon=True).start()
     home = Home(root)
     with following(home):
         for name in names:
             _diagnose(home, name)
         os.nice(_POLITE)
         log_next(home)
+
+
+def _end_without(root: Path) -> None:
+    """End this process when its home has vanished: nobody can read what it finds."""
+    while root.exists():
+        time.sleep(_LOOKS_S)
+    os._exit(1)
 
 
 def _diagnose(home: Home, name: str) -> None:
