@@ -113,8 +113,9 @@ def signature_svg(effect: Effect, axis: str = "", width: int = _SIZE) -> str:
     largest = max(float(np.abs(c).max()) for c in curves.values())
     middle, angle = _SIZE / 2, _angle()
     across = middle - _CIRCLE * np.cos(angle[: _POINTS // 2])
-    # About one pixel as it is shown; small ones would hide their own shape.
+    # About one pixel as it is shown; small ones would hide their own shape, and need points and digits as fine as pixels.
     wide = 1.5 * _SIZE / max(width, 100)
+    step, digits = max(1, round(0.65 * _SIZE / width)), int(width >= _SIZE)
     said = f"{label} round the circle" if round_circle else f"{effect.name} along an axis"
     nominal = (
         f'circle cx="{middle}" cy="{middle}" r="{_CIRCLE}" fill="none"'
@@ -130,7 +131,7 @@ def signature_svg(effect: Effect, axis: str = "", width: int = _SIZE) -> str:
         if round_circle:
             radius = _CIRCLE + _DRAWN * curve / largest
             x, y = middle + radius * np.cos(angle), middle - radius * np.sin(angle)
-        path = " ".join(f"{a:z.1f},{b:z.1f}" for a, b in zip(x, y, strict=True))
+        path = " ".join(f"{a:z.{digits}f},{b:z.{digits}f}" for a, b in zip(x[::step], y[::step], strict=True))
         dash = f' stroke-dasharray="{4 * wide:z.1f} {2 * wide:z.1f}"' if way in ("CW", "reverse") else ""
         drawn = f'points="{path}" fill="none" stroke="{colour}" stroke-width="{wide:z.1f}"{dash}'
         parts.append(f"<{'polygon' if round_circle else 'polyline'} {drawn}/>")

@@ -97,6 +97,8 @@ def test_a_signature_is_drawn_for_both_directions() -> None:
     assert np.abs(radii[0] + radii[1] - 200.0)[away].max() < 0.3
     # What no circle shows is drawn along an axis, and a spread in repeats that differ where the axis creeps.
     assert all(signature_svg(effect) for effect in LIBRARY.values())
+    # A page of all of them in small needs no more points than pixels.
+    assert all(len(signature_svg(effect, width=48)) < 5000 for effect in LIBRARY.values())
     jerks = [
         np.hypot(*(np.array(re.findall(r"[\d.]+", c.get("points")), float).reshape(-1, 2) - 150.0).T)
         for c in fromstring(signature_svg(LIBRARY["stick_slip"], "Y")).findall("polygon")
