@@ -213,7 +213,7 @@ def judged(sheet: Sheet, limits: Mapping[str, Limits], asked: Sequence[str] = ()
     basis = (
         f"U covers 95 % (k = 2, more where repeats are few); repeatability: {sheet.basis}.{assumed}"
         if budgets
-        else "U is not known, for no sound run was repeated: no limit can be decided."
+        else "U is not known, for nothing was repeated in sound data: no limit can be decided."
     )
     known = {c.symbol for p in parts for c in p.characteristics}
     untold = tuple(symbol for symbol in asked if symbol not in known)
