@@ -115,6 +115,7 @@ class Drawing:
     ``draw(run, floor_um)``: the plotly figure; ``floor_um`` is called for the noise floor of the campaign, NaN when it is
     not known, by figures that show it.
     ``half``: whether two such figures stand side by side.
+    ``in_sheet``: whether the picture of the test sheet of one run shows it already.
     """
 
     name: str
@@ -123,6 +124,7 @@ class Drawing:
     draw: Callable[[Run, Callable[[], float]], go.Figure]
     half: bool = False
     note: str = ""
+    in_sheet: bool = False
 
 
 class Kind:

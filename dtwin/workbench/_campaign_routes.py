@@ -166,7 +166,7 @@ def run_page(request: Request, bench: Here, name: str, run_id: str) -> Response:
         notes=notes_beside(sheet) if part >= 0 else [],
         part=part,
         shown=sheet["parts"][part] if part >= 0 else None,
-        drawings=kind.drawings if kind.offers("drawings") else (),
+        drawings=[d for d in kind.drawings if part < 0 or not d.in_sheet] if kind.offers("drawings") else (),
     )
 
 

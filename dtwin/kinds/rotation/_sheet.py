@@ -202,6 +202,6 @@ def _over_angle(run: Run, floor_um: Callable[[], float]) -> go.Figure:
 
 
 DRAWINGS = (
-    Drawing("polar", "Synchronous and asynchronous error motion", 560, _drawn, half=True),
+    Drawing("polar", "Synchronous and asynchronous error motion", 560, _drawn, half=True, in_sheet=True),
     Drawing("angle", "Reading over the angle", 460, _over_angle, half=True),
 )

@@ -13,17 +13,23 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from starlette.testclient import TestClient
 from typer.testing import CliRunner
 from unit.kinds.turning_target import Target, table, turned
 
 from dtwin.cli import app
+from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.kinds.registry import kind_named, kinds
 from dtwin.kinds.rotation._features import features_of
 from dtwin.kinds.rotation._files import is_rotation_file
 from dtwin.kinds.rotation._read import _read_rotation
 from dtwin.kinds.rotation._turns import figures_of, turns_of
+from dtwin.lake.store import Lake
 from dtwin.schema import Campaign, Finding, Floats, Run, RunMeta
+from dtwin.workbench._access import Access
+from dtwin.workbench._bench import Bench
+from dtwin.workbench.server import application
 
 ROOT = Path(__file__).parents[3]
 RPM = 60.0
@@ -881,4 +887,16 @@ def test_pulses_that_come_several_times_a_turn_are_told(tmp_path: Path, pulses: 
     (run,) = read(tmp_path, table({"t_s": np.arange(angle.size) / 200.0, "pulse": pulse, "radial_um": um}))
     assert [f.code for f in judged(run) if f.code in ("rotation.several_pulses", "rotation.orders")] == [
         code or "rotation.orders"
+    ]
+
+
+def test_the_page_of_a_run_draws_its_turns_once(tmp_path: Path) -> None:
+    home = Home(tmp_path)
+    angle = turned(24.3)
+    Lake(home.lake).commit(Campaign("c", "m", "rotation"), [run_of(angle, Target().read(angle, 1))])
+    browser = TestClient(application(Bench(home, Access("127.0.0.1", 8765))), base_url="http://127.0.0.1:8765")
+    said = browser.get("/campaigns/c/runs/r").text
+    assert [name for name in ("sheet/0", "runs/r/polar", "runs/r/angle") if f"/api/campaigns/c/{name}" in said] == [
+        "sheet/0",
+        "runs/r/angle",
     ]
