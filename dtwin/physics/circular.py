@@ -121,7 +121,7 @@ def fit_common_circle(arcs: Sequence[tuple[Floats, Floats]], radius_mm: float) -
         away = np.maximum(np.hypot(from_a, from_b), 1e-300)
         return np.stack([root * from_a / away, root * from_b / away, -root], axis=1)
 
-    solved = scipy.optimize.least_squares(residual, start, slopes, x_scale=10.0, method="lm").x
+    solved = scipy.optimize.leastsq(residual, start, Dfun=slopes, xtol=1e-8, ftol=1e-8)[0]
     return Circle(
         centre_a_um=float(solved[0]),
         centre_b_um=float(solved[1]),
@@ -265,8 +265,9 @@ def _shares(angle_deg: Floats) -> Floats:
 def _gaps(around_deg: Floats) -> tuple[Floats, Floats]:
     """Return the gap from each of the ordered angles of a circle to the next, and the widest of the gaps beside it."""
     gap = np.diff(around_deg, append=around_deg[0] + 360.0)
-    beside = [np.roll(gap, by) for by in range(-_BESIDE, _BESIDE + 1) if by % gap.size]
-    return gap, np.max(beside, axis=0)
+    beside = min(_BESIDE, gap.size - 1)
+    widest = np.lib.stride_tricks.sliding_window_view(np.pad(gap, beside, mode="wrap"), beside).max(axis=1)
+    return gap, np.maximum(widest[: gap.size], widest[beside + 1 :])
 
 
 def _at(wanted_deg: Floats, angle_deg: Floats, value: Floats) -> Floats:
