@@ -235,7 +235,8 @@ def test_its_runs_are_drawn_in_the_browser(measured: Measured) -> None:
     assert (absent.status_code, absent.json()["error"]["allowed"]) == (404, ", ".join(named))
     for drawing in measured.kind.drawings:
         figure = f"/api/campaigns/{measured.campaign}/runs/{run}/{drawing.name}"
-        assert figure in shown.text
+        in_sheet = drawing.in_sheet and f"/api/campaigns/{measured.campaign}/sheet/" in shown.text
+        assert (figure in shown.text) is not in_sheet
         assert browser.get(figure).json()["data"]
 
 
