@@ -11,7 +11,7 @@ from dtwin.physics._merged_groups import Group, graded, key_of_suspect, merged
 from dtwin.physics.contradictions import Contradiction, without_contradictions
 from dtwin.physics.diagnose import diagnose
 from dtwin.physics.diagnosis import Diagnosis, Suspect, Verdict
-from dtwin.physics.effect import Effect, Instance
+from dtwin.physics.effect import Effect
 from dtwin.physics.experiment import next_experiment
 from dtwin.physics.fit import Estimate
 from dtwin.physics.joint import Joint, MachineTest, joint
@@ -21,7 +21,7 @@ from dtwin.physics.problem import Term
 from dtwin.physics.several import fit_several
 from dtwin.physics.several_twin import SeveralTwin, pooled_figures, started_of
 from dtwin.physics.twin import predict_um
-from dtwin.physics.undecided import undecided_together
+from dtwin.physics.undecided import doubts_of, undecided_together
 
 _PLACES = 5
 # A size is there from three of its standard uncertainties on; sizes have k = 2.
@@ -184,8 +184,7 @@ def _explaining(
             kept
             for group in found.found
             if found.verdict != "need_repeats"
-            and (kept := tuple(s for s in group if key_of_suspect(s, library) != key_of(term)))
-            and _reconciles(twin, kept[0], term, campaigns, library)
+            and (kept := tuple(s for s in group if _reconciles(twin, s, term, campaigns, library)))
         ]
         if groups:
             return [(graded(group), obs.campaign.name) for group in groups]
@@ -196,10 +195,14 @@ def _reconciles(
     twin: SeveralTwin, suspect: Suspect, term: Term, campaigns: Sequence[Observations], library: Mapping[str, Effect]
 ) -> bool:
     """Tell whether campaigns agree on a term once another effect stands beside it."""
-    more = Term(Instance(library[suspect.effect], suspect.axis), library[suspect.effect].start_shape)
-    fitted = fit_several(campaigns, [*twin.terms, more], library)
+    known = {key_of(t) for t in twin.terms}
+    beside = machine_terms([suspect.effect], library, campaigns, suspect.axis)
+    more = [t for t in beside if key_of(t) not in known]
+    if not more:
+        return False
+    fitted = fit_several(campaigns, [*twin.terms, *more], library)
     _, apart = without_contradictions(fitted, [started_of(obs) for obs in campaigns])
-    return not any(c.effect == term.instance.effect.name for c in apart)
+    return not any(cause_of(library[c.effect]) == cause_of(term.instance.effect) for c in apart)
 
 
 def _concluded(
@@ -242,8 +245,9 @@ def _concluded(
         key=lambda f: f.unresolved.systematic_rms_um if f.unresolved else 0.0,
         default=None,
     )
-    hidden = _hidden(twin, tests, library)
-    doubts = undecided_together(tests, library, _absent(twin.terms, twin.estimates))
+    alone = [doubts_of(test, library) for test in tests]
+    hidden = _hidden(twin, tests, alone, library)
+    doubts = undecided_together(tests, alone, library, _absent(twin.terms, twin.estimates))
     asked = replace(unclear.found, found=tuple(g for g, c in groups if c == unclear.campaign)) if unclear else None
     if unclear is None and doubts:
         unclear = next(test for test in tests if doubts[0][0] in {term.label for term in test.known})
@@ -293,9 +297,25 @@ def _places(tests: Sequence[MachineTest]) -> tuple[Mapping[str, Any], ...]:
     return tuple(place for test in tests for place in test.found.places if alone[place["axis"]] == 1)
 
 
-def _hidden(twin: SeveralTwin, tests: Sequence[MachineTest], library: Mapping[str, Effect]) -> dict[str, str]:
-    """Return the effects that no campaign of a kind that could show them shows, and why where something was not logged."""
+def _hidden(
+    twin: SeveralTwin,
+    tests: Sequence[MachineTest],
+    doubts: Sequence[Mapping[str, tuple[str, ...]]],
+    library: Mapping[str, Effect],
+) -> dict[str, str]:
+    """Return the effects that no campaign of a kind that could show them shows, and why where something was not logged.
+
+    ``doubts``: of each test. In the place of a size that another one tells, too, an effect shows: both contradict each other.
+    """
     has = {cause_of(t.instance.effect) for t in twin.terms}
+    told = Counter(key_of(term) for test in tests for term in test.known)
+    shown = {
+        label
+        for test, doubt in zip(tests, doubts, strict=True)
+        for term in test.known
+        if told[key_of(term)] > 1
+        for label in doubt.get(term.label, ())
+    }
     labels = dict.fromkeys(label for test in tests for label in (*test.found.invisible, *test.found.untestable))
     out = {}
     for label in labels:
@@ -306,7 +326,11 @@ def _hidden(twin: SeveralTwin, tests: Sequence[MachineTest], library: Mapping[st
             for t in tests
             if t.obs.grid.kind in effect.kinds and (not axis or axis in (*t.obs.axes, *t.obs.planes))
         ]
-        if cause_of(effect) not in has and all(label in f.invisible or label in f.untestable for f in able):
+        if (
+            label not in shown
+            and cause_of(effect) not in has
+            and all(label in f.invisible or label in f.untestable for f in able)
+        ):
             out[label] = next((f.untestable[label] for f in able if label in f.untestable), "")
     return out
 

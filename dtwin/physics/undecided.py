@@ -52,17 +52,19 @@ def undecided(obs: Observations, known: Sequence[Term], library: Mapping[str, Ef
 
 
 def undecided_together(
-    tests: Sequence[MachineTest], library: Mapping[str, Effect], absent: Collection[Hashable] = ()
+    tests: Sequence[MachineTest],
+    doubts: Sequence[Mapping[str, tuple[str, ...]]],
+    library: Mapping[str, Effect],
+    absent: Collection[Hashable] = (),
 ) -> tuple[tuple[str, ...], ...]:
     """Return the same of a twin of several campaigns: what none of them decides, nor all of them together.
 
     ``tests``: with what the twin knows of each; labels are those that a cause has there.
+    ``doubts``: of each test, as :func:`doubts_of` gives them.
     ``absent``: keys of the effects of the twin that are nothing to within their uncertainty. What could stand in their place
     has no size in any test either: where it is very much, none of it is asked.
     """
-    groups = [
-        [doubt.get(t.label, (t.label,)) for t in test.known] for test in tests for doubt in [_doubts(test, library)]
-    ]
+    groups = [[doubt.get(t.label, (t.label,)) for t in test.known] for test, doubt in zip(tests, doubts, strict=True)]
     settled = joint([replace(test, known=()) for test in tests], library, groups).settled
     left = {(s.campaign, s.group): s.left for s in settled}
     terms = {key_of(term): term for test in tests for term in test.known}
@@ -86,7 +88,8 @@ def undecided_together(
     return tuple(group for key in terms if len(group := shortest[key]) > 1)
 
 
-def _doubts(test: MachineTest, library: Mapping[str, Effect]) -> dict[str, tuple[str, ...]]:
+def doubts_of(test: MachineTest, library: Mapping[str, Effect]) -> dict[str, tuple[str, ...]]:
+    """Return what a test alone cannot tell from each effect of the twin, by its label; labels, that one first."""
     groups = undecided(like_repeats(test.obs, test.found), test.known, library)
     return {group[0]: group for group in groups}
 

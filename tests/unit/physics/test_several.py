@@ -250,6 +250,17 @@ def test_a_contradiction_is_explained_by_what_one_campaign_takes_for_another_eff
     assert twin_of_all(campaigns, "backlash:X", "friction:X").contradictions == ()
 
 
+@pytest.mark.parametrize("of_both", [True, False])
+def test_a_contradiction_is_not_explained_by_what_a_third_campaign_denies(of_both: bool) -> None:
+    gives_way = MillParameters().with_axis("X", scale_ppm=30.0, mode_share=0.7, mode_hz=8.0)
+    campaigns = [circles(gives_way, 3, day="2026-01-05"), laser("X", 30.0, 0.0, 3, day="2026-01-06")]
+    campaigns += [laser("Y", 0.0, 0.0, 5, day="2026-01-07")] * of_both
+    (group,) = diagnose_several(twin_of_all(campaigns, "lead_error:X"), campaigns, LIBRARY).found
+    assert "structural_resonance X" in {s.label for s in group}
+    # Y may be off by as much, if no laser reads it.
+    assert ("scale_mismatch XY" in {s.label for s in group}) != of_both
+
+
 def test_a_name_by_chance_in_one_campaign_is_not_told_where_another_denies_it() -> None:
     # The laser reads 0.13 µm of lost motion; the circles show none.
     scaled = MillParameters().with_axis("X", scale_ppm=13.29)
@@ -312,7 +323,11 @@ def test_what_circles_cannot_tell_stays_undecided_until_a_laser_decides_it() -> 
     assert "servo_lag" in others
     assert same.next_experiment is not None
     tests = [bars[0], laser("X", 25.0, 3.0, 4), laser("Y", 0.0, 0.0, 5)]
-    assert diagnose_several(twin_of_all(tests, "backlash:X", "lead_error:X"), tests, LIBRARY).undecided == ()
+    told = diagnose_several(twin_of_all(tests, "backlash:X", "lead_error:X"), tests, LIBRARY)
+    assert told.undecided == ()
+    # In the place of the lead, which a laser tells too, it would contradict that.
+    assert "gravity_sag X" in told.invisible
+    assert "inertial_compliance" not in told.invisible
 
 
 def bars_at(mill: MillParameters, *conditions: tuple[float, float]) -> list[Observations]:
