@@ -138,6 +138,11 @@ def shown_unit(unit: str) -> str:
     return re.sub(r"(?<=s)2\b", "²", re.sub(r"\bu(?=m\b|rad\b)", "µ", unit))
 
 
+def shown_parameter(name: str) -> str:
+    """Return the name of a parameter as people read it: ``cosine_at_100_mm_s`` as cosine at 100 mm/s."""
+    return name.replace("_mm_s", " mm/s").replace("_", " ")
+
+
 def unit_of(column: str) -> str | None:
     """Return the unit that a column name ends with.
 

@@ -9,7 +9,7 @@ from mkdocs.structure.files import File, Files
 from dtwin.physics.effect import Effect
 from dtwin.physics.library import Library
 from dtwin.report.signatures import signature_caption, signature_svg
-from dtwin.units import shown_unit
+from dtwin.units import shown_parameter, shown_unit
 
 
 def on_config(config: MkDocsConfig) -> MkDocsConfig:
@@ -49,7 +49,7 @@ def _index(library: Library) -> str:
 def _page(effect: Effect, library: Library) -> str:
     confused = ", ".join(f"[{library[c].title}]({c}.md)" for c in effect.confusables) or "nothing"
     parameters = "\n".join(
-        f"| {p.name.replace('_', ' ')} | {shown_unit(p.unit)} | {p.typical:g} |" for p in effect.parameters
+        f"| {shown_parameter(p.name)} | {shown_unit(p.unit)} | {p.typical:g} |" for p in effect.parameters
     )
     shapes = "\n".join(
         f"| {s.name.replace('_', ' ')} | {shown_unit(s.unit)} | searched, from {s.start:g} |" for s in effect.shapes

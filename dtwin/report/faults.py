@@ -18,7 +18,7 @@ from dtwin.physics.several_twin import SeveralTwin
 from dtwin.physics.twin import Twin
 from dtwin.report.signatures import signature_svg
 from dtwin.report.text import decimals, listed
-from dtwin.units import shown_number, shown_unit
+from dtwin.units import shown_number, shown_parameter, shown_unit
 
 AS_ZERO = "These runs do not tell it from zero."
 """What is said in place of the remedy of an effect that may be nothing at all."""
@@ -207,7 +207,7 @@ def sizes_of(estimates: Sequence[Estimate]) -> list[tuple[str, float, float, str
     """Return name, value, uncertainty (k = 2) and unit of what the runs tell of an effect, waves as ``size_of`` says."""
     told = [e for e in estimates if e.identifiable]
     waves = [e for e in told if e.name.startswith(("cosine", "sine", "half_wave"))]
-    sizes = [(e.name.replace("_", " "), e.value, e.uncertainty, e.unit) for e in told if e not in waves]
+    sizes = [(shown_parameter(e.name), e.value, e.uncertainty, e.unit) for e in told if e not in waves]
     if waves:
         amplitude = math.hypot(*(e.value for e in waves))
         spread = math.hypot(*(e.value * e.uncertainty for e in waves)) / amplitude if amplitude else math.nan

@@ -13,6 +13,7 @@ from dtwin.report.text import micrometres, table
 from dtwin.report.twin_of_kind import report_of
 from dtwin.report.twin_plots import ranked_figure, waterfall_figure
 from dtwin.report.twins import history_table, number
+from dtwin.units import shown_parameter
 
 
 def twin_text(twin: Any) -> str:
@@ -111,7 +112,7 @@ def _shared_table(document: Mapping[str, Any]) -> Table:
     rows = [
         (
             f"{one['effect']} {one['axis']}".rstrip(),
-            one["parameter"].replace("_", " "),
+            shown_parameter(one["parameter"]),
             _size(one),
             "; ".join(
                 f"{', '.join(own['campaigns'])} {_size({**own, 'unit': one['unit']})}{' (contradicts)' if own['contradicts'] else ''}"

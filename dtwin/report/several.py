@@ -14,7 +14,7 @@ from dtwin.report.recorded import contradiction_words
 from dtwin.report.text import VERDICTS, micrometres, table
 from dtwin.report.twins import history_section as history_section
 from dtwin.report.twins import number
-from dtwin.units import shown_number, shown_unit
+from dtwin.units import shown_number, shown_parameter, shown_unit
 
 if TYPE_CHECKING:
     from dtwin.twins.several import SeveralComparison
@@ -107,7 +107,7 @@ def contradiction_lines(document: Mapping[str, Any]) -> list[str]:
             f", or {' or '.join(one['rivals'])}, which these tests cannot tell from it" if one.get("rivals") else ""
         )
         out.append(
-            f"{what}: {where} ({one['parameter'].replace('_', ' ')}) of {', '.join(one['campaigns'])} is "
+            f"{what}: {where} ({shown_parameter(one['parameter'])}) of {', '.join(one['campaigns'])} is "
             f"{size} {side} {', '.join(one['others'])} (p = {one['p_value']:.1g}){rivals}: "
             + contradiction_words(one["what"], one.get("between", ()), one.get("events", ()))
             + _missed_words(one.get("missed", 0.0), one["unit"])

@@ -20,7 +20,7 @@ from dtwin.report.text import listed, micrometres, table
 from dtwin.report.twin_plots import along_figure, overlay_figure, ranked_figure, residual_map, waterfall_figure
 from dtwin.schema import Floats
 from dtwin.statistics import deviation_interval
-from dtwin.units import shown_number, shown_unit
+from dtwin.units import shown_number, shown_parameter, shown_unit
 
 if TYPE_CHECKING:
     from dtwin.physics.effect import Effect
@@ -70,7 +70,7 @@ def parameter_table(twin: Twin, *, in_words: bool = True) -> Table:
     rows = [
         (
             f"{titles.get(e.effect, e.effect)} {e.axis}".strip(),
-            e.name.replace("_", " "),
+            shown_parameter(e.name),
             _rounded(e.value, e.uncertainty) if e.identifiable else "not told",
             shown_unit(e.unit),
         )
@@ -227,7 +227,7 @@ def _size_words(estimate: Mapping[str, Any]) -> str:
     if not estimate["identifiable"]:
         return "not told"
     uncertainty = math.nan if estimate["uncertainty"] is None else estimate["uncertainty"]
-    return f"{estimate['name'].replace('_', ' ')} {with_k2(estimate['value'], uncertainty, estimate['unit'])}"
+    return f"{shown_parameter(estimate['name'])} {with_k2(estimate['value'], uncertainty, estimate['unit'])}"
 
 
 def _sizes_of_first(group: Sequence[Mapping[str, Any]]) -> str:

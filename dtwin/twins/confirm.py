@@ -23,7 +23,7 @@ from dtwin.twins.members import Cause
 from dtwin.twins.of_kind import AnyTwin, AnyTwins
 from dtwin.twins.shelf import TwinShelf
 from dtwin.twins.verbs import Twins
-from dtwin.units import shown_number, shown_unit
+from dtwin.units import shown_number, shown_parameter, shown_unit
 
 _GRADE = "intervention-confirmed"
 # Less than this share of what was there before must be left.
@@ -59,7 +59,7 @@ class _Change:
 
     def __str__(self) -> str:
         return (
-            f"{self.name.replace('_', ' ')} {shown_number(self.before)} ± {shown_number(self.before_uncertainty, 2)} -> "
+            f"{shown_parameter(self.name)} {shown_number(self.before)} ± {shown_number(self.before_uncertainty, 2)} -> "
             f"{shown_number(self.after)} ± {shown_number(self.after_uncertainty, 2)} {shown_unit(self.unit)}"
         )
 

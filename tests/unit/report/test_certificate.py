@@ -39,6 +39,7 @@ from dtwin.report.pdf import pdf_of
 from dtwin.report.twin_plots import residual_map
 from dtwin.report.twins import diagnosis_section, history_table
 from dtwin.schema import Run, RunMeta
+from dtwin.units import shown_parameter
 from dtwin.workbench import _pages
 from dtwin.workbench._access import Access
 from dtwin.workbench._bench import Bench
@@ -192,7 +193,7 @@ def test_every_effect_has_german_words() -> None:
         assert "3,1 ± 0,2 µm/m" in said
         assert words.spoken(f"next: {effect.separate_by}")[1] == "de", effect.separate_by
         for size in (*effect.parameters, *effect.shapes):
-            assert size.name.removesuffix(f"_{size.unit.lower().replace('/', '_')}").replace("_", " ") in _TITLES
+            assert shown_parameter(size.name.removesuffix(f"_{size.unit.lower().replace('/', '_')}")) in _TITLES
     assert words.cell("Backlash X") == "Umkehrspiel X"
     assert words.cell("about 3.3") == "etwa 3,3"
     # What somebody named so is no size.
