@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from dtwin.documents import finite
 from dtwin.kinds.drift._diagnosis import beside_noise
-from dtwin.kinds.drift._model import Fitted, Series, Term, series_of, shifts, steady
+from dtwin.kinds.drift._model import Fitted, Series, Term, steady
 from dtwin.kinds.drift._search import Step, missing
+from dtwin.kinds.drift._series import series_of, shifts, slips
 from dtwin.kinds.drift._standing import probe_standing
 from dtwin.progress import Progress
 from dtwin.report.text import decimals, table
@@ -29,8 +29,6 @@ _NOISY = 0.1
 _CHANCE = 1e-3
 _PAUSE_S, _TIMES_PAUSE, _USUAL_PCT, _LISTED = 300.0, 10.0, 90.0, 4
 _HOUR_S = 3600.0
-_SLIP_C, _OTHER_UNIT_C = 1.0, 10.0
-"""Steps of a sensor that are told here; what is beyond was told as it was read."""
 _MOST_APART = 2.0
 """How far two runs of one machine may differ before a step size that is stated for one of them is doubted."""
 _UNITS = {
@@ -46,16 +44,14 @@ _NEAR = 0.06
 def _slipped(series: Series) -> list[Finding]:
     """Return the sensors that stepped alone between two readings and stayed: what heats a machine steps no sensor so, or several."""
     found = []
-    for channel, values in series.temperatures_c.items():
-        for step in shifts(replace(series, moved_um=values)):
-            at = int(np.flatnonzero(series.t_s == step.at_s)[0])
-            others = [np.abs(v[at] - v[at - 1]) for name, v in series.temperatures_c.items() if name != channel]
-            if _SLIP_C <= abs(step.size_um) <= _OTHER_UNIT_C and max(others, default=0.0) < 0.5 * abs(step.size_um):
-                said = (
-                    f"{Term('steady', channel).name} steps by {step.size_um:z.1f} °C between two readings after {step.at_s / 60.0:z.0f} min and stays, "
-                    "and no other sensor does: it slipped or was touched, or what it sits on was flooded; what follows from it is suspect"
-                )
-                found.append(Finding("drift.sensor_steps", "warning", said, {"step_k": step.size_um}))
+    for channel, steps in slips(series).items():
+        for step in steps:
+            said = (
+                f"{Term('steady', channel).name} steps by {step.size:z.1f} °C between two readings after {step.at_s / 60.0:z.0f} min and stays, "
+                "and no other sensor does: it slipped or was touched, or what it sits on was flooded; fits are made without the step, and what "
+                "follows from it is suspect"
+            )
+            found.append(Finding("drift.sensor_steps", "warning", said, {"step_k": step.size}))
     return found
 
 
@@ -86,7 +82,7 @@ def judge_drift(run: Run) -> list[Finding]:
         )
         findings.append(Finding("drift.jump", "error", said, {"largest_um": float(steps.max())}))
     elif touched := shifts(series):
-        listed = ", ".join(f"{one.size_um:z.1f} µm after {one.at_s / 60.0:z.0f} min" for one in touched[:_LISTED])
+        listed = ", ".join(f"{one.size:z.1f} µm after {one.at_s / 60.0:z.0f} min" for one in touched[:_LISTED])
         said = (
             f"the displacement stepped between two readings and stayed: {listed}; heat does not do that, a touched probe or a spindle that starts does: "
             "fits are made without these steps, the test sheet is of the readings as they are"

@@ -12,7 +12,8 @@ from dtwin.errors import InputError
 from dtwin.features.time_alone import TIME_ALONE
 from dtwin.kinds.drift._data import Loaded, longest_first
 from dtwin.kinds.drift._diagnosis import DriftDiagnosis, diagnose, written
-from dtwin.kinds.drift._model import Fitted, Series, Term, fitted, series_of
+from dtwin.kinds.drift._model import Fitted, Series, Term, fitted
+from dtwin.kinds.drift._series import series_of
 from dtwin.kinds.drift._training import log_candidate, moved_since
 from dtwin.kinds.drift._twins import DriftTwin, DriftTwins
 from dtwin.lake.store import Lake
@@ -88,9 +89,11 @@ def _grading(series: Series, terms: Sequence[Term], term: Term) -> Grading:
     said = diagnose(series, [t for t in terms if t != term])
     label = written(term)
     if not said.group:
-        return Grading(
-            label, NOT_NEEDED if said.verdict == "nothing_missing" else f"not found again: {said.verdict}", False
+        together = (
+            "not found again when it is left out: more than noise is then left, and no sensor alone surely explains it; it tells only "
+            f"together with the others: log a time in which {term.name} moves and they do not, fit with it, and diagnose"
         )
+        return Grading(label, NOT_NEEDED if said.verdict == "nothing_missing" else together, False)
     if all(one.added.channel != term.channel for one in said.group):
         return Grading(label, f"not found again: {said.additions[0]}", False)
     alike = [written(one.added) for one in said.group if one.added.channel != term.channel]

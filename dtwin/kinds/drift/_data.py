@@ -12,7 +12,8 @@ from dtwin.acquire.campaign_name import in_lake
 from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.kinds.drift._check import contradicting
-from dtwin.kinds.drift._model import Series, series_of
+from dtwin.kinds.drift._model import Series
+from dtwin.kinds.drift._series import series_of
 from dtwin.lake.store import Lake
 from dtwin.schema import Run
 

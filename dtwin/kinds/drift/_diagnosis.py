@@ -12,7 +12,7 @@ from dtwin.documents import finite
 from dtwin.errors import InputError
 from dtwin.features.time_alone import ALPHA, MATERIAL, TIME_ALONE, share_taken
 from dtwin.kinds.drift._model import Series, Term, fitted, held_out, held_out_um, left_with_time
-from dtwin.kinds.drift._search import Addition, additions, best_lag, idle, together
+from dtwin.kinds.drift._search import Addition, additions, best_lag, further, idle, together
 from dtwin.statistics import gain_tail, rms
 from dtwin.units import shown_number
 
@@ -114,7 +114,12 @@ def diagnose(series: Series, terms: Sequence[Term]) -> DriftDiagnosis:
     figures = drift_figures_of(series, terms)
     tried = additions(series, terms)
     paying = [one for one in tried if one.pays]
-    group = tuple(one for one in paying if one is paying[0] or one.equals(paying[0]))
+    best = next(iter(paying), None)
+    if best is not None and not best.sure:
+        # It may be so once others are there.
+        told = {term.channel for term in further(series, terms)}
+        best = next((one for one in paying if one.added.channel in told), None)
+    group = () if best is None else (best, *(one for one in paying if one is not best and one.equals(best)))
     verdict: Verdict
     if group:
         names = [_words(one) for one in group] + [TIME_ALONE] * any(one.is_as_time for one in group)
@@ -131,11 +136,13 @@ def diagnose(series: Series, terms: Sequence[Term]) -> DriftDiagnosis:
 
 
 def explained_together(series: Series, terms: Sequence[Term]) -> tuple[Term, ...]:
-    """Return what explains all but noise when the search begins with every sensor; nothing where terms do, or nothing does."""
-    left = rms(held_out_um(series, terms))
-    if beside_noise(series, left)[0] != "unknown_effect":
-        return ()
-    return together(series, terms, _BEYOND * _noise_um(series))
+    """Return what a search finds in the place of terms that begins with every sensor and explains all but noise, or that goes on
+    past what is not sure; nothing where terms do as well.
+    """
+    found: tuple[Term, ...] = ()
+    if beside_noise(series, rms(held_out_um(series, terms)))[0] == "unknown_effect":
+        found = together(series, terms, _BEYOND * _noise_um(series))
+    return found or further(series, terms)
 
 
 def _noise_um(series: Series) -> float:
@@ -163,7 +170,7 @@ def _words(one: Addition) -> str:
 
 @dataclass(frozen=True)
 class Effect:
-    """One cause; ``term`` is the kind of its column, ``group`` of what it is on pages."""
+    """One cause; ``term`` is the kind of its column, ``group`` of what it is on pages, ``per`` what there is one of it for."""
 
     name: str
     title: str
@@ -171,6 +178,12 @@ class Effect:
     unit: str
     remedy: str
     group: str = "heat"
+    per: str = "sensor"
+
+    @property
+    def parameters(self) -> tuple[tuple[str, str], ...]:
+        """Names and units of what is fitted."""
+        return (("per_kelvin", self.unit), *((("time_constant", "s"),) if self.term in ("lag", "lag2") else ()))
 
 
 EFFECTS = {

@@ -12,7 +12,7 @@ from dtwin.acquire.campaign_folder import write_campaign_file
 from dtwin.acquire.virtual import EPOCH
 from dtwin.atomic import write_text
 from dtwin.errors import InputError
-from dtwin.kinds.drift._model import moved_um
+from dtwin.kinds.drift._series import moved_um
 from dtwin.kinds.machine import require_no_campaign
 from dtwin.machines.warm_column import STEP_S, ColumnParameters, Day, WarmColumn
 from dtwin.progress import Progress

@@ -5,29 +5,28 @@ Unit of replication is the block: a stretch of time, for readings near in time e
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
-from dtwin.errors import InputError
 from dtwin.features import time_alone
 from dtwin.features.time_alone import ALPHA, MATERIAL, share_taken
 from dtwin.kinds.drift._held_out import HeldOut
-from dtwin.schema import Floats, Run
+from dtwin.schema import Floats
 from dtwin.statistics import gain_tail, t_quantile, usual_size
 from dtwin.units import shown_number
 
-_BLOCKS = 24
+_BLOCKS, _LONGER = 24, 12
+"""Blocks of a log that are held out, and of a jackknife: what a model lacks goes on from one short block to the next."""
+COARSE_S = tuple(float(t) for t in 60.0 * 2.0 ** np.arange(9))
+"""Time constants of lags, about as fine as lags differ."""
+_NINE_OF_TEN = 0.9
 _DIGITS = 4
 ALIKE = 1e-9
 """Share of squares that is rounding."""
 _FEWEST_EVEN = 100
-# A step of a probe: times the usual step, times the largest of so many beside it, of the whole range, and of it what stays;
-# between readings that are not farther apart than so many times the usual.
-_TIMES_USUAL, _TIMES_AROUND, _BESIDE, _OF_SPAN, _STAYS, _PAUSE = 10.0, 5.0, 6, 0.05, 0.7, 3.0
 
 
 @dataclass(frozen=True)
@@ -62,7 +61,8 @@ class Series:
 
     ``t_s``, ``moved_um`` (n,).
     ``sample`` (n,) or None: readings of one sample follow each other at once: they differ by noise alone.
-    ``touched_s``: times behind steps that were taken out of ``moved_um``; a fit tells what of them is left.
+    ``touched_s``: times behind steps that were taken out of ``moved_um``, or of a sensor that slipped; a fit tells what of them is
+    left.
     """
 
     t_s: Floats
@@ -107,6 +107,32 @@ class Series:
             return float("nan")
         return max(usual_size(bent) / np.sqrt(6.0), self.digit_um / np.sqrt(12.0))
 
+    def evened(self, late: Term) -> Floats:
+        """Return the temperature of a lag evened over its time constant to both sides, shape (n,): not late."""
+        early = _late(-self.t_s[::-1], self.temperatures_c[late.channel][::-1], late.tau_s)[::-1]
+        return np.asarray(0.5 * (self.column(late) + early))
+
+    @cached_property
+    def courses(self) -> Floats:
+        """What else may move it: each temperature at once, late and squared, and courses of time, about their means, (n, courses)."""
+        each = [
+            Term(kind, channel, tau)
+            for channel in self._unlike
+            for kind, taus in (("steady", (0.0,)), ("lag", COARSE_S), ("curve", (0.0,)))
+            for tau in taus
+        ]
+        made = np.column_stack([*map(self.column, each), *time_alone.courses(self.t_s)])
+        return np.asarray(made - made.mean(axis=0))
+
+    @property
+    def _unlike(self) -> list[str]:
+        """Sensors, of those that read the same the first."""
+        out: list[str] = []
+        for channel, values in self.temperatures_c.items():
+            if all(np.ptp(values - self.temperatures_c[other]) > ALIKE * np.ptp(values) for other in out):
+                out.append(channel)
+        return out
+
     @cached_property
     def digit_um(self) -> float:
         """Least difference of two readings: what the display resolves, or nothing where each reading is another."""
@@ -128,7 +154,8 @@ class Fitted:
     """Terms fitted to a log.
 
     ``value``, ``k2`` (terms + 1,): the constant first; µm, µm/K and µm/K²; half widths cover 95 %, unit of replication
-    the block.
+    the block; what is left, as a band, is in them.
+    ``scatter_k2`` (terms + 1,): of it what blocks scatter by.
     ``late_k2_s`` (terms,): of time constants; 0 for terms that are not late.
     ``covariance``, ``dof``: of standard uncertainties of the values, behind them the time constants of terms that are late.
     ``left_um``: standard deviation of the residual.
@@ -138,60 +165,13 @@ class Fitted:
     terms: tuple[Term, ...]
     value: Floats
     k2: Floats
+    scatter_k2: Floats
     late_k2_s: Floats
     covariance: Floats
     dof: Floats
     left_um: float
     r2: float
     held_out_um: float
-
-
-@dataclass(frozen=True)
-class Shift:
-    """A displacement that stepped between two readings and stayed: a probe that was touched. ``at_s``: of the reading behind it."""
-
-    at_s: float
-    size_um: float
-
-
-def series_of(run: Run, *, as_read: bool = False) -> Series:
-    """Return a run as a series, without the steps of a touched probe unless ``as_read``."""
-    temperatures = {n: v for n, v in run.samples.items() if n.startswith("temperature_")}
-    sample = run.samples.get("sample_1")
-    whole = None if sample is None else np.round(sample).astype(int)
-    series = Series(run.samples["t_s"], moved_um(run), temperatures, whole)
-    steps = [] if as_read else shifts(series)
-    if not steps:
-        return series
-    moved = series.moved_um - sum(shift.size_um * (series.t_s >= shift.at_s) for shift in steps)
-    return replace(series, moved_um=np.asarray(moved), touched_s=tuple(shift.at_s for shift in steps))
-
-
-def shifts(series: Series) -> list[Shift]:
-    """Return the steps that heat does not make: far beyond all steps around, without a pause, and for good."""
-    label = np.arange(len(series.t_s)) if series.sample is None else np.unique(series.sample, return_inverse=True)[1]
-    count = np.bincount(label)
-    t_s, moved = (np.bincount(label, values) / count for values in (series.t_s, series.moved_um))
-    if len(moved) < 2 * _BESIDE:
-        return []
-    steps, pauses = np.diff(moved), np.diff(t_s)
-    span = float(np.subtract(*np.percentile(moved, [98.0, 2.0])))
-    usual = usual_size(steps - np.median(steps))
-    large = np.abs(steps) > max(_TIMES_USUAL * usual, _OF_SPAN * span)
-    found = []
-    for i in map(int, np.flatnonzero(large & (pauses > 0.0) & (pauses <= _PAUSE * np.median(pauses)))):
-        begin, end = i + 1 - _BESIDE, i + 1 + _BESIDE
-        if begin < 0 or end > len(moved):
-            continue
-        near, around = slice(begin, end), np.delete(np.abs(steps[begin : end - 1]), _BESIDE - 1)
-        if np.abs(steps[i]) < _TIMES_AROUND * around.max():
-            continue
-        time = t_s[near] - t_s[i + 1]
-        columns = np.column_stack([np.ones(len(time)), time, time >= 0.0])
-        size = float(np.linalg.lstsq(columns, moved[near], rcond=None)[0][2])
-        if size / steps[i] > _STAYS:
-            found.append(Shift(float(series.t_s[label == i + 1].min()), size))
-    return found
 
 
 def fitted(series: Series, terms: Sequence[Term]) -> Fitted:
@@ -203,7 +183,8 @@ def fitted(series: Series, terms: Sequence[Term]) -> Fitted:
     # A jackknife over blocks: readings near in time err alike. Time constants move along, in first order, for they were fitted, too.
     late = [n for n, term in enumerate(terms) if term.tau_s]
     moving = [value[1 + n] * _by_time(series, terms[n]) for n in late]
-    each = HeldOut(np.column_stack([x, *moving]), y, series.block).values
+    wide = np.column_stack([x, *moving])
+    each = HeldOut(wide, y, series.block * _LONGER // _BLOCKS).values
     squares, blocks = HeldOut(x, y, series.block).squares, len(each)
     apart = each - each.mean(axis=0)
     off = apart**2
@@ -211,18 +192,55 @@ def fitted(series: Series, terms: Sequence[Term]) -> Fitted:
     # Where a few blocks tell most, as the first hours of a warm-up do, the spread itself is less sure.
     tails = blocks * (off**2).sum(axis=0) / np.maximum(off.sum(axis=0) ** 2, 1e-300)
     dof = np.clip(2.0 * blocks / np.maximum(tails - 1.0, 1e-9), 1.0, blocks - 1)
-    k2 = np.array([t_quantile(0.975, float(d)) for d in dof]) * np.sqrt(spread)
+    times, band = np.array([t_quantile(0.975, float(d)) for d in dof]), _band(series, wide, left)
+    scatter = times * np.sqrt(spread)
+    k2 = np.hypot(scatter, band)
     late_k2_s = np.zeros(len(terms))
     late_k2_s[late] = k2[x.shape[1] :] * np.array([terms[n].tau_s for n in late])
     kept = [*range(told), *range(x.shape[1], x.shape[1] + len(late))]
-    scaled = apart[:, kept] * np.array([1.0] * told + [terms[n].tau_s for n in late])
+    units = np.array([1.0] * told + [terms[n].tau_s for n in late])
+    scaled = apart[:, kept] * units
     covariance = (blocks - 1) / blocks * scaled.T @ scaled
+    covariance += np.diag((units * (band / times)[kept]) ** 2)
     size = float(np.sqrt((left**2).sum() / max(len(y) - x.shape[1], 1)))
     r2 = 1.0 - float((left**2).sum()) / float(((y - y.mean()) ** 2).sum())
     held = float(np.sqrt(squares.sum() / len(y)))
     return Fitted(
-        tuple(terms), value, np.asarray(k2[:told]), late_k2_s, np.asarray(covariance), dof[kept], size, r2, held
+        terms=tuple(terms),
+        value=value,
+        k2=np.asarray(k2[:told]),
+        scatter_k2=np.asarray(scatter[:told]),
+        late_k2_s=late_k2_s,
+        covariance=np.asarray(covariance),
+        dof=dof[kept],
+        left_um=size,
+        r2=r2,
+        held_out_um=held,
     )
+
+
+def _band(series: Series, x: Floats, left: Floats) -> Floats:
+    """Return how far what is left over whole blocks, beyond noise, may move the values of columns, shape (columns,).
+
+    Were all of it made by one course that is not in the model, nine courses of ten would move a value by less.
+    """
+    size = np.maximum(np.bincount(series.block, minlength=_BLOCKS), 1)
+    even = float((np.bincount(series.block, left, minlength=_BLOCKS) ** 2 / size).sum())
+    noise = (float((left**2).sum()) - even) / max(len(left) - _BLOCKS, 1)
+    beyond = even - (_BLOCKS + 2.0 * np.sqrt(2.0 * _BLOCKS)) * noise
+    if not beyond > 0.0:
+        return np.zeros(x.shape[1])
+    scale = np.sqrt((x**2).sum(axis=0))
+    scale[scale == 0.0] = 1.0
+    along, sizes, turned = np.linalg.svd(x / scale, full_matrices=False)
+    kept = sizes > sizes[0] * ALIKE
+    parts = along[:, kept].T @ series.courses
+    beside = (series.courses**2).sum(axis=0) - (parts**2).sum(axis=0)
+    other = beside > ALIKE * (series.courses**2).sum(axis=0)
+    moves = turned[kept].T @ (parts[:, other] / sizes[kept, None]) / scale[:, None]
+    if not other.any():
+        return np.zeros(x.shape[1])
+    return np.asarray(np.quantile(np.abs(moves) * np.sqrt(beyond / beside[other]), _NINE_OF_TEN, axis=1))
 
 
 def left_of(series: Series, terms: Sequence[Term], per_kelvin: Floats) -> tuple[Floats, float]:
@@ -306,25 +324,3 @@ def _late(t_s: Floats, values: Floats, tau_s: float) -> Floats:
         row += left * begin
         begin = row[-1]
     return np.concatenate([values[:1], out.ravel()[: kept.size]])
-
-
-def sense(condition: Mapping[str, Any], where: str) -> float:
-    """Return 1 for displacements of the tool, -1 for positions at which a probe triggers: the tool has moved the other way.
-
-    Raises ``InputError`` when ``reads`` of the condition is neither.
-    """
-    reads = condition.get("reads", "displacement")
-    if reads not in ("displacement", "position"):
-        raise InputError(
-            "what the log reads is not known",
-            code="drift.reads",
-            where=where,
-            got=f"reads = {reads!r}"[:60],
-            allowed='condition = { reads = "displacement" }: of the tool along its axis; "position": of the machine when a probe triggers',
-        )
-    return -1.0 if reads == "position" else 1.0
-
-
-def moved_um(run: Run) -> Floats:
-    """Return the tool's displacement of each reading, (n,)."""
-    return sense(run.meta.condition, run.meta.run_id) * run.samples["displacement_um"]

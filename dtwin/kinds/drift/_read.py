@@ -35,7 +35,7 @@ from dtwin.acquire.table_dialect import decoded, remarks_of, rows_of
 from dtwin.acquire.time_stamps import FORM, FORMS, newest_first, numbers_of, of_stamps, times_of_cells
 from dtwin.acquire.xmlsafe import number_or_none
 from dtwin.errors import InputError
-from dtwin.kinds.drift._model import sense
+from dtwin.kinds.drift._series import sense
 from dtwin.kinds.drift._standing import COLDEST_C, HOTTEST_C, lost_readings, nothing_read, possible, standing, stepped
 from dtwin.positioning.table_heads import ANGLE
 from dtwin.schema import Campaign, Finding, Floats, Run, RunMeta

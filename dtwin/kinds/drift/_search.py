@@ -92,19 +92,21 @@ def rung(terms: Sequence[Term], best: Addition | None, gone: Sequence[Term]) -> 
     return best.terms if best is not None else tuple(term for term in terms if term != gone[0])
 
 
+def further(series: Series, terms: Sequence[Term]) -> tuple[Term, ...]:
+    """Return what a search finds that goes on past what is not sure, where in the end all is sure and surely less is left than by
+    terms; else nothing.
+    """
+    found = sure_of(series, _searched(series, terms))
+    return () if is_no_less(held_out(series, terms).squares, held_out(series, found).squares) else found
+
+
 def together(series: Series, terms: Sequence[Term], most_um: float) -> tuple[Term, ...]:
     """Return what a search finds that begins with every sensor, where it leaves no more than so much on times held out and,
-    without what takes less than half of the squares, surely less than terms do; else nothing.
+    without what takes less than half of the squares or is not sure, surely less than terms do; else nothing.
 
     A sensor may tell nothing while others are absent. What takes less than half may stand for what no term describes.
     """
-    found: tuple[Term, ...] = tuple(Term("steady", channel) for channel in series.temperatures_c)
-    for _ in range(MOST_RUNGS):
-        best = next((one for one in additions(series, found) if one.pays), None)
-        gone = idle(series, found) if best is None else ()
-        if best is None and not gone:
-            break
-        found = rung(found, best, gone)
+    found = _searched(series, [Term("steady", channel) for channel in series.temperatures_c])
     model = held_out(series, found)
     if not model.squares.sum() <= len(series.t_s) * most_um**2:
         return ()
@@ -114,7 +116,26 @@ def together(series: Series, terms: Sequence[Term], most_um: float) -> tuple[Ter
             break
         found = rung(found, None, [found[int(np.argmin(takes))]])
         model = held_out(series, found)
-    return () if is_no_less(held_out(series, terms).squares, model.squares) else found
+    found = sure_of(series, found)
+    return () if is_no_less(held_out(series, terms).squares, held_out(series, found).squares) else found
+
+
+def _searched(series: Series, terms: Sequence[Term]) -> tuple[Term, ...]:
+    """Return what a search ends with that begins with terms."""
+    found = tuple(terms)
+    for _ in range(MOST_RUNGS):
+        best = next((one for one in additions(series, found) if one.pays), None)
+        gone = idle(series, found) if best is None else ()
+        if best is None and not gone:
+            break
+        found = rung(found, best, gone)
+    return found
+
+
+def sure_of(series: Series, terms: tuple[Term, ...]) -> tuple[Term, ...]:
+    """Return the terms that are more than what is left may have made."""
+    model = fitted(series, terms)
+    return tuple(t for t, v, k2 in zip(terms, model.value[1:], model.k2[1:], strict=True) if abs(v) > k2)
 
 
 def _needed_alone(series: Series, terms: tuple[Term, ...]) -> tuple[Term, ...]:
@@ -163,9 +184,24 @@ class Addition:
             and gain_tail(self.left, self.by_time) < ALPHA
         ):
             return False
-        model = fitted(self.series, self.terms)
-        at = 1 + model.terms.index(self.added)
-        return abs(float(model.value[at])) > float(model.k2[at])
+        return self._size > float(self._model.scatter_k2[self._at])
+
+    @cached_property
+    def sure(self) -> bool:
+        """Whether its coefficient is more than what is left may make of it: else it may only stand in for something."""
+        return self._size > float(self._model.k2[self._at])
+
+    @cached_property
+    def _model(self) -> Fitted:
+        return fitted(self.series, self.terms)
+
+    @property
+    def _at(self) -> int:
+        return 1 + self.terms.index(self.added)
+
+    @property
+    def _size(self) -> float:
+        return abs(float(self._model.value[self._at]))
 
     @cached_property
     def is_as_time(self) -> bool:
@@ -190,6 +226,10 @@ def additions(series: Series, terms: Sequence[Term]) -> list[Addition]:
             # The time constant is chosen on blocks that are not the one it is judged on.
             best = int(np.argmin(each.sum(axis=1)))
             nested = np.array([each[np.argmin(each.sum(axis=1) - each[:, b]), b] for b in range(each.shape[1])])
+            evened = held_out(series, others).with_each(series.evened(late[best])[:, None])[0]
+            if kind == "lag" and share_taken(evened, nested) <= MATERIAL:
+                # What evens the noise of the sensor out is no lag.
+                continue
             tried.append(
                 (
                     nested,

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dtwin.kinds.drift._model import Series, Term, moved_um, series_of
+from dtwin.kinds.drift._model import Series, Term
+from dtwin.kinds.drift._series import moved_um, series_of
 from dtwin.kinds.kind import Drawing
 from dtwin.report.plots import error_figure, lacks_columns
 from dtwin.report.sheet import Characteristic, Part, Sheet, sound_runs

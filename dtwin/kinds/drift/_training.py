@@ -12,8 +12,9 @@ from dtwin import __version__
 from dtwin.errors import InputError
 from dtwin.kinds.drift._data import longest_first
 from dtwin.kinds.drift._diagnosis import sensors_of
-from dtwin.kinds.drift._model import Fitted, Series, held_out_um, moved_um, series_of, steady
+from dtwin.kinds.drift._model import Fitted, Series, held_out_um, steady
 from dtwin.kinds.drift._search import missing
+from dtwin.kinds.drift._series import moved_um, series_of
 from dtwin.lake.store import Lake
 from dtwin.progress import StageProgress
 from dtwin.schema import Floats, Run

@@ -126,7 +126,7 @@ class DriftTwins(TermTwins[Term, Loaded, DriftTwin, DriftDiagnosis]):
     def discover(self, name: str, *, seed: int = 0) -> tuple[list[DriftTwin], list[tuple[str, ...]], DriftDiagnosis]:
         """Diagnose and add until nothing pays; what pays nothing beside the others is then taken out, one after the other.
 
-        Where more than noise is left, the search begins anew with every sensor: what that finds, if it explains all, is one step.
+        What a search then finds that begins with every sensor and explains all, or goes on past what is not sure, is one step.
         """
         twin = self.newest(name)
         loaded = load(self.home, twin.campaign)
@@ -145,9 +145,7 @@ class DriftTwins(TermTwins[Term, Loaded, DriftTwin, DriftDiagnosis]):
             groups += [group] if group else []
             said = self._diagnosed(twin, loaded)
         if found := explained_together(loaded.series, twin.terms):
-            twin = self._store(
-                name, loaded, found, f"begin with every sensor: {', '.join(map(written, found))}", twin.version
-            )
+            twin = self._store(name, loaded, found, f"begin anew: {', '.join(map(written, found))}", twin.version)
             made.append(twin)
             groups += [(label,) for label in twin.labels]
             said = self._diagnosed(twin, loaded)

@@ -18,9 +18,10 @@ from dtwin.kinds.drift._check import drift_figures, judge_campaign_drift, judge_
 from dtwin.kinds.drift._data import longest_first, of_twin
 from dtwin.kinds.drift._diagnosis import diagnose
 from dtwin.kinds.drift._held_out import HeldOut
-from dtwin.kinds.drift._model import Series, Term, fitted, series_of, steady
+from dtwin.kinds.drift._model import Series, Term, fitted, steady
 from dtwin.kinds.drift._read import _read_drift, is_drift_log
 from dtwin.kinds.drift._search import additions, idle, missing
+from dtwin.kinds.drift._series import series_of
 from dtwin.kinds.drift._training import train_drift
 from dtwin.kinds.registry import kind_named
 from dtwin.lake.store import Lake
@@ -669,6 +670,37 @@ def test_a_sensor_that_steps_alone_is_told() -> None:
         assert [f.code for f in found].count("drift.sensor_steps") == told
 
 
+def test_what_follows_a_sensor_that_slipped_is_told_apart_from_the_step() -> None:
+    whole = _touched(0.0)
+    step = 2.0 * (whole.samples["t_s"] > 12_500.0)
+    slipped = replace(
+        whole, samples=whole.samples | {"temperature_frame_c": whole.samples["temperature_frame_c"] + step}
+    )
+    terms = [Term("steady", "temperature_bed_c"), Term("lag", "temperature_frame_c", 900.0)]
+    of_whole, of_slipped = (fitted(series_of(run), terms) for run in (whole, slipped))
+    assert of_slipped.value[1:] == pytest.approx(of_whole.value[1:], rel=0.01)
+    assert of_slipped.left_um == pytest.approx(of_whole.left_um, rel=0.02)
+
+
+def test_sizes_beside_a_law_that_the_fit_does_not_know_are_as_wide_as_that() -> None:
+    # The core is late, and the fit takes the skin at once.
+    for seed in range(3):
+        model = fitted(series(seed), [Term("steady", "temperature_frame_c"), Term("steady", "temperature_bed_c")])
+        off = np.abs(model.value[1:] - [-530.0 * 23.4e-3, 2.0])
+        assert (off < model.k2[1:]).all()
+        assert (off > model.scatter_k2[1:]).any()
+        known = fitted(series(seed, late_s=0.0), model.terms)
+        assert known.k2 == pytest.approx(known.scatter_k2)
+
+
+def test_a_sensor_whose_readings_scatter_is_not_late_for_that() -> None:
+    made = series(0, late_s=0.0)
+    read = {n: v + np.random.default_rng(1).normal(0.0, 0.1, len(v)) for n, v in made.temperatures_c.items()}
+    noisy = replace(made, temperatures_c=read)
+    tried = additions(noisy, [Term("steady", channel) for channel in read])
+    assert [one.said for one in tried if one.pays] == []
+
+
 def test_a_pause_of_an_hour_and_a_reading_looks_like_a_clock_that_was_set() -> None:
     run = _touched(0.0)
     t_s = run.samples["t_s"]
@@ -969,7 +1001,7 @@ def test_a_term_whose_coefficient_is_less_than_its_uncertainty_is_not_named() ->
         for one in additions(made, [Term("steady", "temperature_room_c")]):
             model = fitted(made, one.terms)
             at = 1 + model.terms.index(one.added)
-            assert not one.pays or abs(model.value[at]) > model.k2[at]
+            assert not (one.pays and one.sure) or abs(model.value[at]) > model.k2[at]
 
 
 def test_a_sensor_that_stands_in_for_a_second_lag_is_not_named() -> None:

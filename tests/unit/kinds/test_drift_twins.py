@@ -12,6 +12,7 @@ import pytest
 from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.kinds.drift._check import judge_drift
+from dtwin.kinds.drift._correction import _grading
 from dtwin.kinds.drift._data import Loaded
 from dtwin.kinds.drift._diagnosis import DriftDiagnosis, asked, diagnose, explained_together, joined, written
 from dtwin.kinds.drift._evidence import _AGAIN, _column_of, _probed, drift_errors, simulate_drift
@@ -96,6 +97,8 @@ def test_sensors_that_tell_only_together_are_found_where_they_explain_all() -> N
     series = Series(t_s, 5.0 * own + rng.normal(0.0, 0.3, t_s.size), read, None)
     assert diagnose(series, ()).verdict == "unknown_effect"
     assert [written(term) for term in explained_together(series, ())] == ["follows@front", "follows@back"]
+    terms = asked(series, ["follows@front"])
+    assert "only together with the others: log a time in which front moves" in _grading(series, terms, terms[0]).grade
     waved = replace(series, moved_um=series.moved_um + 2.0 * np.sin(2.0 * np.pi * t_s / 4000.0))
     assert explained_together(waved, ()) == ()
 
