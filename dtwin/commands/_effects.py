@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -37,16 +37,13 @@ def library_with(paths: list[Path] | None) -> Mapping[str, Effect]:
 @app.command("list")
 def list_effects(effects_path: Paths = None, as_json: Json = False) -> None:
     """List what dtwin knows."""
-    from dtwin.kinds.volumetric.motions import FAMILIES
-    from dtwin.kinds.volumetric.twin_report import family_dict
-
     effects = _sorted(library_with(effects_path))
-    rows = [(e.name, e.title, e.per.replace("_", " "), ", ".join(e.kinds)) for e in effects]
-    heat = [family_dict(family) for family in FAMILIES.values()]
-    rows += [(f["name"], f["title"], f["per"], ", ".join(f["kinds"])) for f in heat]
+    rows = [(e.name, e.title, e.per.replace("_", " "), ", ".join(e.kinds), e.group) for e in effects]
+    own = [*_of_kinds()]
+    rows += [(e["name"], e["title"], e["per"], ", ".join(e["kinds"]), e["group"]) for e in own]
     emit(
-        {"effects": [_effect_dict(e) for e in effects], "heat": heat},
-        lambda: table(("effect", "what", "one for each", "campaigns"), rows),
+        {"effects": [_effect_dict(e) for e in effects], "of_kinds": own},
+        lambda: table(("effect", "what", "one for each", "campaigns", "group"), rows),
         as_json=as_json,
     )
 
@@ -64,8 +61,17 @@ def show_effect(
     if family is not None:
         emit(family_dict(family), lambda: family_text(family), as_json=as_json)
         return
-    effect = Twins(home(), library_with(effects_path)).library[name]
-    emit(_effect_dict(effect), lambda: effect_text(effect), as_json=as_json)
+    library, own = Twins(home(), library_with(effects_path)).library, list(_of_kinds(name))
+    if own and name not in library:
+        emit(own[0], lambda: _own_text(own), as_json=as_json)
+        return
+    effect = library[name]
+    # A robot arm may have an effect of the same name.
+    emit(
+        _effect_dict(effect) | ({"of_kinds": own} if own else {}),
+        lambda: "\n\n".join([effect_text(effect), *([_own_text(own)] if own else [])]),
+        as_json=as_json,
+    )
 
 
 @app.command("template")
@@ -82,6 +88,36 @@ def effect_template(
         raise InputError("the file is there already", code="effect.exists", where=str(path))
     write_text(path, template(name), "the effect")
     print(f"{path} written\nnext: edit it, then dtwin effects show {name} --effects-path {path}")
+
+
+def _of_kinds(name: str = "") -> Iterator[dict[str, Any]]:
+    """Yield the effects that single kinds of campaign have beside the library, those of one name, or all."""
+    from dtwin.kinds.registry import kinds
+
+    for kind in kinds():
+        for effect in kind.effects.values():
+            if name in ("", effect.name):
+                told = {key: value for key, value in vars(effect).items() if not callable(value)}
+                yield told | {"kinds": [kind.name], "per": effect.per, "parameters": effect.parameters}
+
+
+def _own_text(own: Sequence[Mapping[str, Any]]) -> str:
+    """Return what effects of single kinds are, for the terminal."""
+    from dtwin.units import shown_unit
+
+    told = []
+    for effect in own:
+        sizes = ", ".join(f"{name} ({shown_unit(unit)})" for name, unit in effect["parameters"])
+        lines = {
+            "parameters": sizes,
+            "one for each": effect["per"],
+            "campaigns": ", ".join(effect["kinds"]),
+            "group": effect["group"],
+            "needs": effect.get("needs"),
+            "remedy": effect["remedy"],
+        }
+        told.append("\n".join([f"{effect['name']}: {effect['title']}", *(f"{k}: {v}" for k, v in lines.items() if v)]))
+    return "\n\n".join(told)
 
 
 def _sorted(library: Mapping[str, Effect]) -> list[Effect]:

@@ -302,7 +302,7 @@ class Kind:
 
     @property
     def effects(self) -> Mapping[str, Any]:
-        """What its twins may have, with name, title and group, where that is not of the library."""
+        """What its twins may have, with name, title, group, per, parameters and remedy, where that is not of the library."""
         return self._done("effects") if "effects" in self.places else {}
 
     @property

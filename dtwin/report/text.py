@@ -91,6 +91,7 @@ def effect_text(effect: Effect) -> str:
         f"scaling: {', '.join(exponents)}",
         f"parameters: {parameters}" + (f"; shape: {shapes}" if shapes else ""),
         f"one for each: {effect.per.replace('_', ' ')}",
+        f"group: {effect.group}" if effect.group else "",
         f"needs: {', '.join(effect.needs)}" if effect.needs else "",
         f"confused with: {', '.join(effect.confusables)}" if effect.confusables else "",
         f"told apart by: {effect.separate_by}",

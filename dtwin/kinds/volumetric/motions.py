@@ -28,6 +28,8 @@ class Family:
     separate_by: str
     remedy: str
     group: str = "heat"
+    per: str = "error motion"
+    parameters: tuple[tuple[str, str], ...] = ()
 
 
 @dataclass(frozen=True)

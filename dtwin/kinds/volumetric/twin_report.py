@@ -156,7 +156,7 @@ def twin_section(twin: HeatTwin) -> Section:
 def family_dict(family: Family) -> dict[str, Any]:
     """Return a family of error motions as a JSON-ready mapping."""
     members = [m for m in COEFFICIENTS if family_of(m).name == family.name]
-    return {**vars(family), "kinds": ["volumetric"], "per": "error motion", "motions": members}
+    return {**vars(family), "kinds": ["volumetric"], "motions": members}
 
 
 def family_text(family: Family) -> str:
@@ -168,6 +168,7 @@ def family_text(family: Family) -> str:
             family.meaning,
             f"looks like: {family.looks_like}",
             "error motions: " + ", ".join(f"{m} ({motion_words(m)})" for m in members),
+            f"group: {family.group}",
             f"told apart by: {family.separate_by}",
             f"remedy: {family.remedy}",
             "reference: ISO 230-1 (names), ISO 230-3 (thermal effects)",

@@ -184,6 +184,15 @@ def test_what_does_a_verb_takes_and_gives_what_the_verb_does(kind: Kind) -> None
             assert one == other, verb
 
 
+def test_effects_of_single_kinds_are_listed_and_shown() -> None:
+    listed = json.loads(CliRunner().invoke(app, ["effects", "list", "--json"]).stdout)["of_kinds"]
+    assert {(one["name"], *one["kinds"]) for one in listed} == {(name, k.name) for k in kinds() for name in k.effects}
+    for one in listed:
+        shown = CliRunner().invoke(app, ["effects", "show", one["name"]])
+        assert f"{one['name']}: {one['title']}" in shown.output
+        assert f"group: {one['group']}" in shown.output
+
+
 def test_it_is_in_the_lake_as_it_was_measured(measured: Measured) -> None:
     lake = Lake(measured.home.lake)
     assert lake.campaign(measured.campaign).kind == measured.kind.name
