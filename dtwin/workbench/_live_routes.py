@@ -23,6 +23,7 @@ from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.report.live_plots import circle_figure, correction_figure, waiting_figure
 from dtwin.report.model_plots import jitter_figure
+from dtwin.report.text import counted
 from dtwin.serve._lease import is_leased
 from dtwin.serve.live_board import COLUMNS, RECENT_S, Seen, live_state, read_board
 from dtwin.serve.served_time import events_path, never_released
@@ -197,7 +198,7 @@ def _outside_share(session: Mapping[str, Any]) -> float:
 def _latched_by(session: Mapping[str, Any]) -> str:
     """Return in words which faults a session latched for; empty when it did not."""
     reasons = session.get("reasons") or {}
-    told = [f"{said} ({reasons[name]} ticks)" for name, said in _TRIPS.items() if reasons.get(name)]
+    told = [f"{said} ({counted(reasons[name], 'tick')})" for name, said in _TRIPS.items() if reasons.get(name)]
     return "; ".join(told) if session.get("ended") == "latched" else ""
 
 
