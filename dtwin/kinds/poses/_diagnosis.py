@@ -37,9 +37,8 @@ _ALPHA = 0.01
 # A family counts when it takes this share of the squares that are left on poses left out.
 _MATERIAL = 0.005
 # A joint stays in it when the squares grow by more than this share without it, with no more than this p-value over blocks:
-# without the second one joint in six was named by chance. There are some thirty of joints and effects to try: with 0.05, three arms of
-# an outside examiner in four had one falsely (arms with three to five causes), with 0.002 one in five.
-_PAYS, _STAYS = 0.002, 0.002
+# without the second one joint in six was named by chance.
+_PAYS, _STAYS = 0.002, 0.05
 # Another family tells the same when it gains nearly as much alone, and little beside the best.
 _AS_GOOD, _LITTLE = 0.8, 0.2
 # A fancier family takes the place of a plainer one when it gains more, has no more parameters than these besides, and
