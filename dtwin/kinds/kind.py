@@ -113,9 +113,8 @@ class Drawing:
     """A figure of one run; ``title``: what it shows, for those who do not see it.
 
     ``draw(run, floor_um)``: the plotly figure; ``floor_um`` is called for the noise floor of the campaign, NaN when it is
-    not known, by figures that show it.
-    ``half``: whether two such figures stand side by side.
-    ``in_sheet``: whether the picture of the test sheet of one run shows it already.
+    not known, by figures that show it. ``half``: whether two such figures stand side by side; ``in_sheet``: whether the picture
+    of the test sheet of one run shows it already.
     """
 
     name: str

@@ -16,8 +16,8 @@ from dtwin.statistics import usual_size
 # A step of a probe: times the usual step, times the largest of so many beside it, of the whole range, and of it what stays;
 # between readings that are not farther apart than so many times the usual.
 _TIMES_USUAL, _TIMES_AROUND, _BESIDE, _OF_SPAN, _STAYS, _PAUSE = 10.0, 5.0, 6, 0.05, 0.7, 3.0
-SLIP_C, OTHER_UNIT_C = 1.0, 10.0
-"""Steps of a sensor that slipped; what is beyond was told as it was read."""
+# Steps of a sensor that slipped; what is beyond was told as it was read.
+_SLIP_C, _OTHER_UNIT_C = 1.0, 10.0
 
 
 @dataclass(frozen=True)
@@ -99,7 +99,7 @@ def slips(series: Series) -> dict[str, list[Shift]]:
         for step in shifts(replace(series, moved_um=values)):
             at = int(np.flatnonzero(series.t_s == step.at_s)[0])
             others = [np.abs(v[at] - v[at - 1]) for name, v in series.temperatures_c.items() if name != channel]
-            if SLIP_C <= abs(step.size) <= OTHER_UNIT_C and max(others, default=0.0) < 0.5 * abs(step.size):
+            if _SLIP_C <= abs(step.size) <= _OTHER_UNIT_C and max(others, default=0.0) < 0.5 * abs(step.size):
                 found.setdefault(channel, []).append(step)
     return found
 

@@ -23,17 +23,7 @@ class _Linear(Kind):
     stated = ("axis",)
     campaign_columns = columns
     sheet_columns = columns
-    measured_by = (
-        "laser",
-        "interferom",
-        "xl80",
-        "xm60",
-        "xm600",
-        "step gauge",
-        "stufenendma",
-        "linear encoder",
-        "vergleichsma",
-    )
+    measured_by = ("laser", "interferom", "xl80", "xm60", "step gauge", "stufenendma", "linear encoder", "vergleichsma")
     figures = ("A", "A↑", "A↓", "R", "R↑", "R↓", "E", "E↑", "E↓", "B", "B̄", "M")
     read_with = (*Kind.read_with, "instrument.length_unit", "instrument.reading_period_s", "condition.instrument")
     settings = (
