@@ -2,9 +2,10 @@
 
 Makes a lake with a campaign of circular runs, fits a twin (and diagnoses it when asked), then asks
 every page and figure. The first answer after a start reads the runs; the others find them reduced. Times are of
-the server: what the browser needs to draw is not in them.
+the server: what the browser needs to draw is not in them. ``--browser`` opens a campaign in Chromium, too, with a
+new profile: from the page of machines, and at its own address, until its polar plot stands.
 
-Run: python benchmarks/bench_workbench.py [--runs 1000] [--diagnose] [--json]
+Run: python benchmarks/bench_workbench.py [--runs 1000] [--diagnose] [--browser /usr/bin/chromium] [--json]
 """
 
 from __future__ import annotations
@@ -107,6 +108,7 @@ def main() -> None:
     parser.add_argument("--runs", type=int, default=1000)
     parser.add_argument("--repeats", type=int, default=9)
     parser.add_argument("--diagnose", action="store_true", help="takes minutes")
+    parser.add_argument("--browser", help="the program of Chromium; needs playwright")
     parser.add_argument("--json", action="store_true")
     parser.add_argument("--short", action="store_true", help="the same code with little data")
     chosen = parser.parse_args()
@@ -132,7 +134,7 @@ def main() -> None:
             "fit_s": round(fitted_s, 1),
             "diagnose_s": round(diagnosed_s, 1) if chosen.diagnose else None,
             "load_average": os.getloadavg()[0],
-            **measured(folder, chosen.repeats),
+            **measured(folder, chosen.repeats, chosen.browser),
         }
     if chosen.json:
         print(json.dumps(result))
@@ -149,9 +151,28 @@ def main() -> None:
             f"{page:56s} {found['first_ms']:8.0f} {found['median_ms']:8.0f} "
             f"{found['longest_ms']:8.0f} {found['kb']:7.0f}"
         )
+    if polar := result["polar_s"]:
+        print(f"polar plot in Chromium: {polar['from_machines']} s from the machines, {polar['at_once']} s at once")
 
 
-def measured(folder: str, repeats: int) -> dict[str, object]:
+def drawn(program: str, base: str, begin: str, told: str) -> float:
+    """Return the seconds in which the polar plot of the campaign stands in a browser that has seen one page."""
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as player:
+        browser = player.chromium.launch(executable_path=program, args=["--no-sandbox"])
+        page = browser.new_page(bypass_csp=True)
+        page.goto(base + begin)
+        page.wait_for_function(told)
+        begun = time.perf_counter()
+        page.goto(f"{base}/campaigns/{NAME}")
+        page.wait_for_selector(".js-plotly-plot .polarlayer path", state="attached")
+        taken = time.perf_counter() - begun
+        browser.close()
+    return round(taken, 2)
+
+
+def measured(folder: str, repeats: int, browser: str | None) -> dict[str, object]:
     server = subprocess.Popen(
         [sys.executable, "-m", "dtwin", "ui", "--no-browser"],
         env=os.environ | {"DTWIN_HOME": folder},
@@ -171,7 +192,11 @@ def measured(folder: str, repeats: int) -> dict[str, object]:
                 "longest_ms": round(max(times), 1),
                 "kb": round(size / 1024, 1),
             }
-        return {"pages": pages}
+        polar_s = browser and {
+            "from_machines": drawn(browser, base, "/machines", "localStorage.getItem('dtwin-compiled')"),
+            "at_once": drawn(browser, base, "/static/icon.svg", "true"),
+        }
+        return {"pages": pages, "polar_s": polar_s}
     finally:
         server.terminate()
         server.wait(30)

@@ -2,6 +2,8 @@
 // Server-rendered pages; this draws figures, sends forms, and follows work in progress.
 
 const byId = (id) => document.getElementById(id);
+// Plotly runs after this file: what a figure shows is asked for meanwhile.
+const drawable = new Promise((done) => document.addEventListener("DOMContentLoaded", done));
 const all = (selector, within) => Array.from((within || document).querySelectorAll(selector));
 const CONFIG = { displaylogo: false, responsive: true, modeBarButtonsToRemove: ["lasso2d", "select2d", "sendChartToCloud"], plotlyServerURL: "" };
 
@@ -70,6 +72,7 @@ async function draw(figure) {
       found.layout.legend = { orientation: "h", y: -0.18, yanchor: "top" };
     }
     canvas.style.minHeight = `${found.layout.height}px`;
+    await drawable;
     await Plotly.react(canvas, found.data, found.layout, CONFIG);
     if (magnified) keepMagnification(canvas);
     if ("map" in figure.dataset && !figure.listening) {
@@ -648,7 +651,19 @@ async function fillMachines() {
   rows.sort((one, other) => order(one) - order(other)).forEach((row) => row.parentElement.append(row));
 }
 
-document.addEventListener("DOMContentLoaded", async () => {
+// Chromium takes a second to compile Plotly and keeps the result at its second run: the first page without
+// figures, of a version of dtwin, spends that second while it is read.
+async function compilePlotly() {
+  const address = (document.querySelector("link[rel=prefetch]") || {}).href;
+  if (!address || localStorage.getItem("dtwin-compiled") === address) return;
+  for (let run = 0; run < 2; run += 1) {
+    const script = Object.assign(document.createElement("script"), { src: address });
+    await new Promise((done) => { script.onload = done; document.head.append(script); });
+  }
+  localStorage.setItem("dtwin-compiled", address);
+}
+
+async function begin() {
   watchForms();
   watchNames();
   all("a[data-pdf]").forEach((link) => link.addEventListener("click", (event) => { event.preventDefault(); fetched(link); }));
@@ -659,7 +674,10 @@ document.addEventListener("DOMContentLoaded", async () => {
   watchChooser();
   all("select[data-submit]").forEach((select) => select.addEventListener("change", () => select.form.submit()));
   all("[data-by]").forEach((figure) => byId(figure.dataset.by).addEventListener("change", () => draw(figure)));
+  (window.requestIdleCallback || setTimeout)(compilePlotly);
   if (byId("chooser")) await listRuns().catch(() => {});
   await Promise.all([...all("[data-figure]").map(draw), fillMachines()]);
   document.body.dataset.drawn = "yes";
-});
+}
+
+begin();
