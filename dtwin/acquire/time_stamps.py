@@ -211,8 +211,8 @@ def clock_of(
     stamped = [n for n, head in enumerate(heads) if of_stamps(in_english(head))]
     if not stamped:
         return None
-    # Day and time may stand apart.
-    cells = [" ".join(row[n].strip() for n in stamped) for row in body]
+    # Day and time may stand apart; behind an apostrophe a spreadsheet leaves a stamp as it is.
+    cells = [" ".join(row[n].strip().lstrip("'") for n in stamped) for row in body]
     return times_of_cells(cells, 1.0, where, " ".join(heads[n] for n in stamped), stamps=True)
 
 

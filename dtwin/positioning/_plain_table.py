@@ -34,6 +34,7 @@ _CONDITION = re.compile(
     r"(feed|speed|velocity|vorschub|load|payload|mass|last\b|height|h[oö]he|(motor|drive|id)$)", re.I
 )
 """Head of a column of numbers that, where each has all targets, parts tests."""
+_FEWEST_ALIKE = 4
 
 
 def table_of(rows: Sequence[Sequence[str]]) -> list[Sequence[str]] | None:
@@ -44,6 +45,9 @@ def table_of(rows: Sequence[Sequence[str]]) -> list[Sequence[str]] | None:
     wide = [row for row in rows if sum(bool(cell.strip()) for cell in row) > 1]
     if table is None and wide and max(map(len, wide)) <= _MOST_ON_ITS_SIDE:
         table = _below_titles(list(zip_longest(*wide, fillvalue="")))
+        if table is not None and len(table[0]) > _FEWEST_ALIKE and len(set(table[0][1:])) == 1:
+            # The reflector that a tracker measured again and again.
+            return None
     return table
 
 

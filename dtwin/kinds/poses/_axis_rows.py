@@ -15,6 +15,9 @@ from dtwin.units import LENGTHS_MM
 
 _MOST_TITLES = 20
 _XYZ = ("X", "Y", "Z")
+_AXES = ("x", "y", "z")
+_FEWEST = 3
+"""Joints of an arm."""
 _UNIT = re.compile(r"(\s*[\[(/].*|_[mnµu]?m)?$")
 _Rows = Sequence[Sequence[str]]
 
@@ -115,6 +118,12 @@ _TOLD = re.compile(
     rf"(?:[ _]*(?:in |[\[(/_])? *(?P<unit>{_LENGTH})[\])]?)?",
     re.I,
 )
+_JOINT = re.compile(
+    r"(?:j|q|a|theta|th|joint|axis|gelenk|achse)[ _.-]*(\d)(?:[ _]*[\[(/_]? *(?P<unit>deg(?:rees?)?|\u00b0|rad(?:ians?)?)[\])]?)?",
+    re.I,
+)
+_TRACKER = re.compile(r"u ?\(95\).*", re.I)
+"""Head of the uncertainty that the program of a laser tracker writes beside a place."""
 _RTDE = re.compile(r"(target|actual)_q_([0-5])$")
 """Joints as a recording of a UR's RTDE has them, in radians."""
 _VICON = re.compile(r".* T?([XYZ])$")
@@ -164,6 +173,43 @@ def of_words(head: str, below: str = "") -> str:
     # Errors are of any unit.
     unit = (found["unit"] or (NO_UNIT if _WORDS[what] == "error" else "mm")).lower()
     return f"{_WORDS[what]}_{axis}_{unit}"
+
+
+def joints_of(heads: Sequence[str], units: Sequence[str]) -> dict[int, str]:
+    """Return the house's names, by column, of joints that heads such as ``j1``, ``A1 [deg]`` or ``theta_1`` tell, counted from 1 without a gap.
+
+    Of a quaternion ``Q0`` to ``Q3`` there are none. ``units``: those in a row below the heads.
+    """
+    found = {n: match for n, head in enumerate(heads) if (match := _JOINT.fullmatch(head.strip())) is not None}
+    if sorted(int(match[1]) for match in found.values()) != list(range(1, len(found) + 1)) or len(found) < _FEWEST:
+        return {}
+    told = {
+        n: (match["unit"] or (units[n] if n < len(units) else "")).strip("[]() ").lower() for n, match in found.items()
+    }
+    unit = {
+        n: "rad" if t.startswith("rad") else "deg" if t.startswith(("deg", "\u00b0")) else NO_UNIT
+        for n, t in told.items()
+    }
+    return {n: f"joint_{match[1]}_{unit[n]}" for n, match in found.items()}
+
+
+def places_of(heads: Sequence[str], units: Sequence[str]) -> dict[int, str]:
+    """Return the house's names, by column, of plain ``X [mm]``, ``Y [mm]`` and ``Z [mm]`` as measured places; empty when one tells no unit."""
+    out = {}
+    for n, head in enumerate(heads):
+        found = _TOLD.fullmatch(in_english(f"measured {head.strip()}"))
+        if (
+            found is not None
+            and head.strip()[:1].lower() in _AXES
+            and (found["unit"] or (n < len(units) and units[n].strip()))
+        ):
+            out[n] = of_words(f"measured {head.strip()}", units[n] if n < len(units) else "")
+    return out if len(out) == len(_XYZ) else {}
+
+
+def of_tracker(heads: Sequence[str]) -> bool:
+    """Return whether heads are those of places that the program of a laser tracker wrote with their uncertainty."""
+    return bool(places_of(heads, ())) and any(_TRACKER.fullmatch(head.strip()) for head in heads)
 
 
 def lines_for(heads: Sequence[str], unit: str) -> list[str]:

@@ -30,8 +30,20 @@ from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
 from dtwin.acquire.spreadsheet import first_rows, table_bytes
 from dtwin.acquire.table_dialect import SUMMARY, decoded, remarks_of, rows_of, typed
 from dtwin.acquire.time_stamps import clock_of, numbers_of, of_stamps
+from dtwin.acquire.xmlsafe import number_or_none
 from dtwin.errors import InputError
-from dtwin.kinds.poses._axis_rows import NO_UNIT, axes_beside, is_by_axes, joined, lines_for, of_ros, of_words
+from dtwin.kinds.poses._axis_rows import (
+    NO_UNIT,
+    axes_beside,
+    is_by_axes,
+    joined,
+    joints_of,
+    lines_for,
+    of_ros,
+    of_tracker,
+    of_words,
+    places_of,
+)
 from dtwin.kinds.poses._orientation import house_name, with_orientation
 from dtwin.kinds.poses._repeats import no_commanded, repeated_places, with_joints
 from dtwin.schema import Campaign, Finding, Floats, Run, RunMeta
@@ -53,9 +65,9 @@ def _read_poses(path: Path, campaign: Campaign, stated: Mapping[str, Any]) -> tu
 
     Raises ``InputError`` when a column is missing, with those that the file has.
     """
-    columns, heads, unit = _columns(path, campaign)
-    in_motion: list[dict[str, Any]] = []
     log = stated.get("condition", {}).get("joints_log")
+    columns, heads, unit = _columns(path, campaign, with_log=log is not None)
+    in_motion: list[dict[str, Any]] = []
     if log is not None:
         logged = inside(path.parent, log, "condition.joints_log")
         columns, moving = with_joints(columns, _columns(logged, campaign)[0], logged)
@@ -146,7 +158,7 @@ def is_pose_table(path: Path) -> bool:
     if is_by_axes(rows):
         return True
     heads = _headed(rows, {}, path)[0]
-    if joined(rows) is not None or of_ros(heads) or repeated_places(rows):
+    if joined(rows) is not None or of_ros(heads) or of_tracker(heads) or repeated_places(rows):
         return True
     commanded = any(h.startswith("joint_1_") for h in heads) or _are_places("target", heads)
     return commanded and (_are_places("measured", heads) or _are_places("error", heads))
@@ -158,18 +170,31 @@ def _are_places(what: str, heads: Sequence[str]) -> bool:
     return "x" in told and told != {"x", "y"}
 
 
-def _columns(path: Path, campaign: Campaign) -> tuple[dict[str, Floats], list[str], str]:
-    """Return the columns of a table by the house's names, in mm and degrees, its heads, and the unit of lengths that it states, else metres."""
+def _columns(path: Path, campaign: Campaign, *, with_log: bool = False) -> tuple[dict[str, Floats], list[str], str]:
+    """Return the columns of a table by the house's names, in mm and degrees, its heads, and the unit of lengths that it states, else metres.
+
+    ``with_log``: the joints are in a file of their own.
+    """
     recipe = campaign.instrument.get("columns", {})
     text = decoded(table_bytes(path, _MOST_BYTES))
     require_one_block(text, path)
     rows = axes_beside(rows_of(text), path)
     if not recipe and (places := repeated_places(rows)):
         raise no_commanded(path, places)
-    named, heads, units, below, unit = _headed(rows, recipe, path)
+    named, heads, units, below, unit = _headed(rows, recipe, path, with_log)
+    first = heads if len(heads) > 1 else " ".join(heads).split()
+    if first and all(number_or_none(cell) is not None for cell in first):
+        raise InputError(
+            "the first line of the table holds numbers, and no heads",
+            code="columns.heads",
+            where=str(path),
+            got=", ".join(first)[:80],
+            allowed="joint_1_deg, joint_2_deg …, or measured_x_mm, measured_y_mm, measured_z_mm, in the order of the columns",
+            hint="write the heads, with their units, above the first line",
+        )
     if not any(name.startswith("measured_") for name in named):
         require_usual_sign([*remarks_of(text), *rows[:_MOST_TITLES]], path)
-    without = [head for head, name in zip(heads, named, strict=True) if name.endswith(NO_UNIT)]
+    without = [h for h, name in zip(heads, named, strict=True) if name.startswith("error_") and name.endswith(NO_UNIT)]
     if without:
         raise InputError(
             "errors do not say their unit",
@@ -202,6 +227,7 @@ def _columns(path: Path, campaign: Campaign) -> tuple[dict[str, Floats], list[st
         ending = next((e for e in _SCALES if name.endswith(e)), "")
         new, scale = _SCALES.get(ending, (ending, 1.0))
         columns[name.removesuffix(ending) + new] = column * scale
+    columns = _with_degrees(columns, path)
     if not {"t_s", "t_ns"} & set(columns):
         # Stamps of which day and month may be exchanged are no times.
         with suppress(InputError):
@@ -213,10 +239,28 @@ def _columns(path: Path, campaign: Campaign) -> tuple[dict[str, Floats], list[st
     return columns, heads, unit
 
 
+def _with_degrees(columns: dict[str, Floats], path: Path) -> dict[str, Floats]:
+    """Return columns with joints of no unit in degrees: what turns by more than one turn in radians is not in them."""
+    without = [name for name in columns if name.startswith("joint_") and name.endswith(NO_UNIT)]
+    if without and not max(np.nanmax(np.abs(columns[name]), initial=0.0) for name in without) > 2.0 * np.pi:
+        raise InputError(
+            "joints do not say their unit",
+            code="poses.unit",
+            where=str(path),
+            got=", ".join(name.removesuffix(f"_{NO_UNIT}") for name in without),
+            allowed="deg, rad",
+            hint="write it into the heads, such as J1 [rad]",
+        )
+    return {name.replace(NO_UNIT, "deg"): values for name, values in columns.items()}
+
+
 def _headed(
-    rows: Sequence[Sequence[str]], recipe: Mapping[str, Any], path: Path
+    rows: Sequence[Sequence[str]], recipe: Mapping[str, Any], path: Path, with_log: bool = False
 ) -> tuple[list[str], list[str], list[str], list[Sequence[str]], str]:
-    """Return the house's names of the columns, the heads, which may stand below titles, units below them, rows and the unit of lengths."""
+    """Return the house's names of the columns, the heads, which may stand below titles, units below them, rows and the unit of lengths.
+
+    Beside joints, in the table or, ``with_log``, in a file of their own, plain X, Y and Z are measured.
+    """
     exported = joined(rows)
     if exported is not None:
         heads, body, unit = exported
@@ -236,6 +280,14 @@ def _headed(
         house_name(str(recipe.get(head, of_words(head, below))))
         for head, below in zip_longest(heads, told[: len(heads)], fillvalue="")
     ]
+    known_already = {name.partition("_")[0] for name in named}
+    if "joint" not in known_already:
+        for n, name in joints_of(heads, told).items():
+            named[n] = name
+    with_log = with_log or any(name.startswith("joint_") for name in named)
+    if with_log and not {"measured", "target", "error"} & known_already:
+        for n, name in places_of(heads, told).items():
+            named[n] = name
     return named, heads, list(units or []), body, "m"
 
 
@@ -248,8 +300,10 @@ def _require(columns: Mapping[str, Floats], path: Path, heads: list[str], unit: 
         return
     known = lines_for(heads, unit)
     commanded = "joints, joint_1_deg …, or commanded places, target_x_mm …"
-    if measured <= there and not joints:
-        hint = f"only measured places are told: add {commanded}; joints may be in a log of their own, condition = {{ joints_log = … }}"
+    if (measured <= there or of_tracker(heads)) and not joints:
+        hint = f"only measured places are told: add {commanded}; joints may be in a file of their own, condition = {{ joints_log = … }} of the run in campaign.toml"
+    elif joints and {head[:1].lower() for head in heads} >= {"x", "y", "z"}:
+        hint = "heads of measured places tell their unit: X [mm], Y [mm], Z [mm]"
     elif known:
         missing = "measured places, measured_x_mm …" if "joint_1" in known[0] else commanded
         hint = f"[campaign.instrument.columns] with the lines {', '.join(known[:7])}; and {missing}, in the same way"
@@ -296,4 +350,4 @@ def _seconds(stamps: Floats) -> Floats:
         return np.zeros(len(stamps))
 
 
-READERS = dict.fromkeys((".csv", *SPREADSHEETS), _read_poses)
+READERS = dict.fromkeys((".csv", ".txt", ".tsv", ".dat", *SPREADSHEETS), _read_poses)

@@ -1,6 +1,7 @@
 """Measured places without commanded ones, read again and again: how poses repeat, and no accuracy.
 
-``condition = { joints_log = "joint_states.csv" }`` of a run names the log; both files tell the time by one clock.
+``condition = { joints_log = "joint_states.csv" }`` of a run names the log: both files tell the time by one clock, or the log has no times and a
+row for each row of the table.
 """
 
 from __future__ import annotations
@@ -85,20 +86,25 @@ def with_joints(
 ) -> tuple[dict[str, Floats], NDArray[np.bool_]]:
     """Return readings with the joints at which they were taken, one a stop, and which rows of the table are in none.
 
-    Readings of one stop are no repeats: their mean is one.
+    Readings of one stop are no repeats: their mean is one. A log without times has a row for each reading.
 
-    ``table``: columns of readings (n,) with ``t_s``.
-    ``log``: columns ``joint_1_deg`` … (m,) with ``t_s``.
+    ``table``: columns of readings (n,), with ``t_s`` where the log has it.
+    ``log``: columns ``joint_1_deg`` … (m,), mostly with ``t_s``.
     ``where``: file of the log, for error messages.
     """
     names = sorted((n for n in log if n.startswith("joint_")), key=lambda n: int(n.split("_")[1]))
+    rows, logged = (len(next(iter(columns.values()), ())) for columns in (table, log))
+    if names and "t_s" not in log and rows in (logged, 0):
+        return {**table, **{n: log[n] for n in names}}, np.zeros(logged, bool)
     if "t_s" not in log or not names or "t_s" not in table:
         raise InputError(
             "joints and readings cannot be brought together",
             code="poses.joints_log",
             where=str(where),
-            got=f"log: {', '.join(log)}; readings: {', '.join(table)}"[:200],
-            allowed="t_s in both files, by one clock, and joint_1_deg … in the log",
+            got=f"log: {', '.join(log) or 'nothing known'} in {logged} rows; readings: {', '.join(table) or 'nothing known'} in {rows} rows"[
+                :240
+            ],
+            allowed="t_s in both files, by one clock, and joint_1_deg … in the log; or a log without times that has a row for each reading",
         )
     good = np.isfinite(np.stack([log["t_s"], *(log[n] for n in names)])).all(axis=0)
     order = np.argsort(log["t_s"][good], kind="stable")

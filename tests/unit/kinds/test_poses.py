@@ -375,6 +375,73 @@ def test_logs_of_two_clocks_are_refused(tmp_path: Path) -> None:
         next(iter(open_source(tmp_path)[1]))
 
 
+DEGREE = np.pi / 180.0
+STAMPED = "U(95)  [mm],Q0 ,Q1 ,Q2 ,Q3 ,Target,Time Stamp"
+
+
+def beside(folder: Path, joints: str, places: str, *, unit: float = 1.0, lost: int = 0) -> Path:
+    """Write what calibrations of arms leave: a file of joints with these heads, and one of a tracker, a row for a row."""
+    q = np.random.default_rng(8).uniform(-1.5, 1.5, (40, 6))
+    point = frames(q, KNOWN["ur10"]).origin_mm[-1]
+    rows = [" ".join(map(repr, pose)) for pose in (q / unit).tolist()][lost:]
+    (folder / "joints.txt").write_text("\n".join([joints, *rows] if joints else rows), "utf-8")
+    extra = [f",0.004,0.5,0.5,0.5,0.5,TMC 30-B #5320,'20.10.2022 16:{n // 6:02}:{n % 6}0.092" for n in range(len(q))]
+    lines = [f"{x!r},{y!r},{z!r}{more}" for (x, y, z), more in zip(point.tolist(), extra, strict=True)]
+    (folder / "tracker.csv").write_text("\n".join([f"{places},{STAMPED}", *lines]), "utf-8")
+    (folder / "campaign.toml").write_text(
+        '[campaign]\nname = "c"\nmachine = "m"\nkind = "poses"\n[campaign.machine_geometry]\nchain = "ur10"\n'
+        '[[run]]\nid = "r"\nfile = "tracker.csv"\ncondition = { joints_log = "joints.txt" }\n',
+        encoding="utf-8",
+    )
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("joints", "unit"),
+    [
+        ("j1 j2 j3 j4 j5 j6", DEGREE),
+        ("A1[deg] A2[deg] A3[deg] A4[deg] A5[deg] A6[deg]", DEGREE),
+        ("theta_1_rad theta_2_rad theta_3_rad theta_4_rad theta_5_rad theta_6_rad", 1.0),
+    ],
+)
+def test_joints_in_a_file_without_times_are_those_of_the_trackers_rows(
+    tmp_path: Path, joints: str, unit: float
+) -> None:
+    ((run,), _) = next(iter(open_source(beside(tmp_path, joints, "X  [mm],Y  [mm],Z  [mm]", unit=unit))[1]))
+    error = series_of(
+        np.stack([run.samples[f"joint_{n}_deg"] for n in range(1, 7)], axis=1), measured_of(run), KNOWN["ur10"], None
+    ).error_mm
+    assert len(error) == 40
+    assert np.abs(error).max() < 1e-6
+    # Stamps behind an apostrophe are times.
+    assert run.samples["t_s"][1] == pytest.approx(10.0)
+
+
+@pytest.mark.parametrize(
+    ("joints", "places", "given", "code", "said"),
+    [
+        ("j1 j2 j3 j4 j5 j6", "X [mm],Y [mm],Z [mm]", {"unit": DEGREE, "lost": 1}, "poses.joints_log", "in 39 rows"),
+        ("j1 j2 j3 j4 j5 j6", "x,y,z", {"unit": DEGREE}, "columns.missing", "X [mm], Y [mm], Z [mm]"),
+        ("j1 j2 j3 j4 j5 j6", "X [mm],Y [mm],Z [mm]", {}, "poses.unit", "J1 [rad]"),
+        ("", "X [mm],Y [mm],Z [mm]", {}, "columns.heads", "write the heads"),
+    ],
+)
+def test_files_that_are_not_row_for_row_are_refused(
+    tmp_path: Path, joints: str, places: str, given: dict[str, float], code: str, said: str
+) -> None:
+    with pytest.raises(InputError) as refused:
+        next(iter(open_source(beside(tmp_path, joints, places, **given))[1]))  # type: ignore[arg-type]
+    assert refused.value.code == code
+    assert said in str(refused.value.as_dict())
+
+
+def test_what_a_tracker_wrote_alone_is_asked_for_the_joints(tmp_path: Path) -> None:
+    table = beside(tmp_path, "j1 j2 j3 j4 j5 j6", "X  [mm],Y  [mm],Z  [mm]") / "tracker.csv"
+    with pytest.raises(InputError, match="table of poses") as refused:
+        next(iter(open_source(table, {"machine": "m"})[1]))
+    assert "joints_log" in str(refused.value.hint)
+
+
 @pytest.mark.parametrize(("encoding", "mark"), [("utf-16", ";"), ("cp1252", ";"), ("utf-8", "\t")])
 def test_a_pose_table_of_another_encoding_or_mark_is_read(tmp_path: Path, encoding: str, mark: str) -> None:
     folder = _campaign(tmp_path / "c")
