@@ -12,7 +12,7 @@ and ``discover`` finds the rest. Rows:
 - drift-slip: two causes, and the sensor of one of them slips by 1.5 to 5 K
 
 A cause shows when it makes, alone, at least the noise (RMS). It is named when one of its names is in the twin, or in a group of at
-most three that was told with one; on an arm, also by a name that says the same to 0.8 of the squares beside frame and tool. A name is
+most three that was told with one, and not as doubtful; on an arm, also by a name that says the same to 0.8 of the squares beside frame and tool. A name is
 false when neither it nor its group is a cause or a consequence of one: a lag may be told as one of two stages, or as followed at
 once; ``time alone`` is true of what settles and of a body without a sensor; a tipping base and a changed flank are a sag, a cable is
 a wave of its joint. Unit of replication: the machine.
@@ -62,7 +62,8 @@ class _HomeExam(Exam):
             twins.logs = False
             twins.fit(name, [], "t")
             _, told, said = twins.discover("t")
-            groups = list(_groups(twins.newest("t").labels, told))
+            doubtful = said.as_dict().get("doubtful", [])
+            groups = [group for group in _groups(twins.newest("t").labels, told) if group[0] not in doubtful]
             spent = time.process_time() - simulated
         small = {label for group in groups if len(group) <= MOST_IN_GROUP for label in group}
         shown = [cause for cause in causes if cause.um >= noise_um and cause.names]

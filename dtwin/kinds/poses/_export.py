@@ -91,6 +91,7 @@ def _confirmed(home: Home, twin: PoseTwin) -> list[str]:
         told.append(f"poses held out of the choice of effects, too: {shown_number(nested)} mm")
     doubts = [] if said["verdict"] == "nothing_missing" else [f"{said['verdict']}: {said['headline']}"]
     doubts += [f"pays nothing beside the others: {', '.join(said['idle'])}"] if said["idle"] else []
+    doubts += [f"small beside what no effect explains: {', '.join(small)}"] if (small := said.get("doubtful")) else []
     return [*told, *(f"not confirmed: {doubt}" for doubt in doubts)]
 
 

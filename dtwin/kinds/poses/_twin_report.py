@@ -85,6 +85,10 @@ def _told(name: str, result: Mapping[str, Any]) -> list[Part]:
         )
     if result.get("idle"):
         lines.append(f"pays nothing beside the others: {', '.join(result['idle'])}")
+    if result.get("doubtful"):
+        lines.append(
+            f"perhaps a part of what no effect explains, for they are small beside it: {', '.join(result['doubtful'])}"
+        )
     if result["invisible"]:
         lines.append(f"not identifiable beside frame, tool and what the twin has: {', '.join(result['invisible'])}")
     if result["next_experiment"]:

@@ -145,6 +145,14 @@ def test_sag_of_the_wrist_is_not_looked_for_and_not_said_to_be_nothing() -> None
     assert "sag of the wrist, J4 to J6, is not looked for" in said.headline
 
 
+@pytest.mark.parametrize("zero_mrad", [0.004, 0.4])
+def test_an_effect_that_is_small_beside_what_no_effect_explains_is_doubtful(zero_mrad: float) -> None:
+    zero = Term("joint_zero", 3)
+    said = diagnose(_twice(6, 100, sag_of_wrist_mrad=0.4, zero_mrad=zero_mrad), [zero])
+    assert said.verdict == "unknown_effect"
+    assert said.doubtful == ((zero,) if zero_mrad < 0.1 else ())
+
+
 def test_a_floor_that_lost_motion_lifted_falls_with_it() -> None:
     grams = _twice(6, 100, lost_mrad=2.0, sag_of_wrist_mrad=0.2)
     before, after = diagnose(grams, ()), diagnose(grams, [Term("joint_reversal", 2)])
