@@ -178,10 +178,12 @@ def of_words(head: str, below: str = "") -> str:
 def joints_of(heads: Sequence[str], units: Sequence[str]) -> dict[int, str]:
     """Return the house's names, by column, of joints that heads such as ``j1``, ``A1 [deg]`` or ``theta_1`` tell, counted from 1 without a gap.
 
-    Of a quaternion ``Q0`` to ``Q3`` there are none. ``units``: those in a row below the heads.
+    Of a quaternion, ``Q0`` to ``Q3`` or ``q1`` to ``q4``, there are none. ``units``: those in a row below the heads.
     """
     found = {n: match for n, head in enumerate(heads) if (match := _JOINT.fullmatch(head.strip())) is not None}
-    if sorted(int(match[1]) for match in found.values()) != list(range(1, len(found) + 1)) or len(found) < _FEWEST:
+    numbers = sorted(int(match[1]) for match in found.values())
+    quaternion = len(found) == 4 and all(match[0].lower().startswith("q") for match in found.values())
+    if numbers != list(range(1, len(found) + 1)) or len(found) < _FEWEST or quaternion:
         return {}
     told = {
         n: (match["unit"] or (units[n] if n < len(units) else "")).strip("[]() ").lower() for n, match in found.items()

@@ -384,7 +384,7 @@ def test_logs_of_two_clocks_are_refused(tmp_path: Path) -> None:
 
 
 DEGREE = np.pi / 180.0
-STAMPED = "U(95)  [mm],Q0 ,Q1 ,Q2 ,Q3 ,Target,Time Stamp"
+STAMPED = "U(95)  [mm],q1,q2,q3,q4,Target,Time Stamp"
 
 
 def beside(folder: Path, joints: str, places: str, *, unit: float = 1.0, lost: int = 0) -> Path:
