@@ -34,7 +34,7 @@ from dtwin.twins.machine_twin import (
     size_of,
 )
 from dtwin.twins.members import Cause, HasMembers, Member, Version, known_to, told_from, widened
-from dtwin.twins.shelf import PATHS, TwinShelf, effect_absent, effect_there, require_same_machine
+from dtwin.twins.shelf import PATHS, TwinShelf, effect_absent, effect_there, logged_together, require_same_machine
 
 _MOST_RUNGS = 40
 # A size is there from three of its standard uncertainties on; sizes have k = 2.
@@ -123,6 +123,7 @@ class MachineTwins(TwinShelf):
         members = self.members_of(old.campaigns)
         return self._store(self._of(name, members, f"restore v{version}"), members, _terms(old), ahead=True)
 
+    @logged_together
     def discover(
         self, name: str, *, seed: int = 0
     ) -> tuple[list[MachineTwin], list[tuple[str, ...]], MachineDiagnosis]:

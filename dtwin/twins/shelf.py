@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import os
 import uuid
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
+from functools import wraps
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Concatenate, ParamSpec, Protocol, TypeVar
 
 from dtwin.config import Home
 from dtwin.documents import read_document, write_document
@@ -247,6 +248,30 @@ class TwinShelf:
         follow_shared(self.home)
         if self.logs:
             log_soon(self.home, name, at_once=at_once, ahead=ahead)
+
+
+_P = ParamSpec("_P")
+_T = TypeVar("_T")
+_S = TypeVar("_S", bound=TwinShelf)
+
+
+def logged_together(verb: Callable[Concatenate[_S, str, _P], _T]) -> Callable[Concatenate[_S, str, _P], _T]:
+    """Have the versions that a verb stores logged when it has ended: a process for each would take the processor from the verb."""
+
+    @wraps(verb)
+    def together(self: _S, name: str, /, *args: _P.args, **others: _P.kwargs) -> _T:
+        logs, self.logs, at_once = self.logs, False, False
+        try:
+            out = verb(self, name, *args, **others)
+            # Only of a verb that has ended, or a refusal of MLflow would hide what it raised.
+            at_once = self.home.mlflow_at_once
+            return out
+        finally:
+            self.logs = logs
+            if logs:
+                log_soon(self.home, name, at_once=at_once)
+
+    return together
 
 
 def _meanwhile(name: str, version: int) -> InputError:

@@ -47,7 +47,7 @@ from dtwin.twins._path_member import PathMember
 from dtwin.twins.budget_spread import BudgetSpread, spread_budget
 from dtwin.twins.measured import Comparison, Loaded, load
 from dtwin.twins.several import SeveralComparison, fitted_together, require_together
-from dtwin.twins.shelf import PATHS, TwinShelf, effect_absent, effect_there, require_same_machine
+from dtwin.twins.shelf import PATHS, TwinShelf, effect_absent, effect_there, logged_together, require_same_machine
 
 _MOST_RUNGS = 40
 _PATIENCE_S, _LOOK_EVERY_S = 600.0, 0.05
@@ -229,6 +229,7 @@ class Twins(TwinShelf):
         old = self.newest(name, version)
         return self._store(name, self._load(old.campaigns), old.terms, f"restore v{version}")
 
+    @logged_together
     def discover(self, name: str, *, seed: int = 0) -> tuple[list[Twin], list[tuple[str, ...]], Diagnosis]:
         """Diagnose and add all that was found, until nothing more is found that is clear enough.
 

@@ -126,6 +126,32 @@ def test_versions_of_several_twins_arrive_in_order_and_once(shelf: TwinShelf) ->
     assert in_mlflow(shelf.home, "a")[1] == ("step 2", "nothing_missing")
 
 
+@pytest.mark.parametrize("spoilt", [False, True])
+def test_versions_of_one_verb_are_logged_by_one_process_also_where_it_fails(
+    shelf: TwinShelf, monkeypatch: pytest.MonkeyPatch, spoilt: bool
+) -> None:
+    begun: list[str] = []
+    monkeypatch.setattr(shelves, "log_soon", lambda home, name, **_: begun.append(name))
+
+    @shelves.logged_together
+    def verb(shelf: TwinShelf, name: str, /, many: int) -> int:
+        for number in range(1, many + 1):
+            shelf.store(version(name, number))
+        if spoilt:
+            raise InputError("no more")
+        return many
+
+    if spoilt:
+        with pytest.raises(InputError, match="no more"):
+            verb(shelf, "a", 3)
+    else:
+        assert verb(shelf, "a", 3) == 3
+    assert begun == ["a"]
+    assert len(labels(shelf.home)) == 3
+    shelf.store(version("a", 4))
+    assert begun == ["a", "a"]
+
+
 def test_the_thousandth_version_is_the_newest_and_comes_last(shelf: TwinShelf) -> None:
     for number in (998, 999):
         shelf.store(version("a", number))

@@ -30,7 +30,7 @@ from dtwin.kinds.drift._search import MOST_RUNGS, rung
 from dtwin.physics.agreed import Quantity, Sizes
 from dtwin.schema import Floats
 from dtwin.statistics import rms, t_quantile
-from dtwin.twins.shelf import require_same_machine
+from dtwin.twins.shelf import logged_together, require_same_machine
 from dtwin.twins.term_twins import TermTwin, TermTwins
 
 _PLACES = 5
@@ -123,6 +123,7 @@ class DriftTwins(TermTwins[Term, Loaded, DriftTwin, DriftDiagnosis]):
         require_same_machine(twin.name, twin.machine, loaded.campaign, loaded.machine)
         return DriftComparison(twin, loaded, twin.left_um(loaded.series))
 
+    @logged_together
     def discover(self, name: str, *, seed: int = 0) -> tuple[list[DriftTwin], list[tuple[str, ...]], DriftDiagnosis]:
         """Diagnose and add until nothing pays; what pays nothing beside the others is then taken out, one after the other.
 

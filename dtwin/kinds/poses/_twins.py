@@ -28,7 +28,7 @@ from dtwin.kinds.poses._series import mean_mm
 from dtwin.physics.agreed import Quantity, Sizes
 from dtwin.schema import Floats
 from dtwin.statistics import rms, t_quantile
-from dtwin.twins.shelf import require_same_machine
+from dtwin.twins.shelf import logged_together, require_same_machine
 from dtwin.twins.term_twins import TermTwin, TermTwins
 
 _MOST_RUNGS = 40
@@ -137,6 +137,7 @@ class PoseTwins(TermTwins[Term, Loaded, PoseTwin, PoseDiagnosis]):
             told = [parameter for parameter in told if parameter["effect"] != "setup_drift"]
         return PoseComparison(twin, loaded, applied(loaded.grams, told), _as_fitted(twin, told, same))
 
+    @logged_together
     def discover(self, name: str, *, seed: int = 0) -> tuple[list[PoseTwin], list[tuple[str, ...]], PoseDiagnosis]:
         """Diagnose and add until no effect pays; then what pays nothing beside the others is taken out, and so on.
 

@@ -27,7 +27,7 @@ from dtwin.kinds.volumetric.heat_twin import (
 )
 from dtwin.kinds.volumetric.motions import HeatTerm, heat_terms
 from dtwin.schema import Floats, require_name
-from dtwin.twins.shelf import TwinShelf, effect_absent, effect_there, require_same_machine
+from dtwin.twins.shelf import TwinShelf, effect_absent, effect_there, logged_together, require_same_machine
 
 _MOST_RUNGS = 30
 
@@ -163,6 +163,7 @@ class HeatTwins(TwinShelf):
         old = self.newest(name, version)
         return self._store(name, self._loaded(old), old.terms, f"restore v{version}")
 
+    @logged_together
     def discover(self, name: str, *, seed: int = 0) -> tuple[list[HeatTwin], list[tuple[str, ...]], HeatDiagnosis]:
         """Diagnose and add until nothing is missing, or nothing that was logged would help; nothing here is random."""
         twin = self.newest(name)
