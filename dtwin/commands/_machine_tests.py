@@ -21,7 +21,7 @@ from dtwin.units import shown_number
 @machine_app.command()
 def plan(
     name: Name,
-    kind: Annotated[str | None, typer.Option(help="Kind of test; the usual one without.")] = None,
+    kind: Annotated[str | None, typer.Option(help="Kind of test; that of the last test without.")] = None,
     told: Annotated[
         list[str] | None,
         typer.Option("--set", help="SETTING=VALUE of the plan, such as radius_mm=50,100; may be repeated."),
@@ -34,9 +34,8 @@ def plan(
     from dtwin.atomic import write_toml
     from dtwin.commands._effects import library_with
     from dtwin.pipeline.planned_tests import draft_of, foretold, with_settings
-    from dtwin.schema import DEFAULT_KIND
 
-    document = with_settings(draft_of(home(), name, kind or DEFAULT_KIND), dict(map(_setting, told or [])))
+    document = with_settings(draft_of(home(), name, kind or ""), dict(map(_setting, told or [])))
     forecast = foretold(home(), document, library_with(effects_path))
     if out is not None:
         forecast["plan_file"] = str(write_toml(out, document, "the plan file"))

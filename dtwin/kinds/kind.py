@@ -225,9 +225,9 @@ class Kind:
         """Return the plan of the usual campaign."""
         return self._done("usual_plan")()
 
-    def draft(self, machine: str, axes: Mapping[str, Mapping[str, float]]) -> Mapping[str, Any]:
-        """Return a plan file, as TOML is read, with usual settings for a machine; ``axes`` as for ``proposals``."""
-        return self._done("draft")(machine, axes)
+    def draft(self, machine: str, axes: Mapping[str, Mapping[str, float]], last: Sequence[Run]) -> Mapping[str, Any]:
+        """Return a plan file, as TOML is read, with the settings of ``last``, runs of the last test, else usual ones; only the first has samples."""
+        return self._done("draft")(machine, axes, last)
 
     def programs(self, planned: Planned, control: str) -> Mapping[str, str]:
         """Return the motion programs of a plan by file name; ``control`` is one of ``controls``."""

@@ -28,7 +28,7 @@ from dtwin.physics.experiment import detectable
 from dtwin.physics.observations import Observations
 from dtwin.physics.problem import unweighted
 from dtwin.plan_file import planned_document, read_plan_file
-from dtwin.schema import Floats, RunMeta, require_name
+from dtwin.schema import Floats, Run, RunMeta, require_name
 
 _USUAL_AXES = "XYZ"
 # Of what an effect shows beside the set-ups, so much is shown by another one too: they look alike.
@@ -38,27 +38,34 @@ _OF_THOUSANDS = re.compile(r"[1-9]\d{0,2}(\.\d00|(\.\d{3}){2,})|0\d\d")
 _Where = tuple[object, ...]
 
 
-def draft_of(home: Home, machine: str, kind: str) -> dict[str, Any]:
+def draft_of(home: Home, machine: str, kind: str = "") -> dict[str, Any]:
     """Return a plan file of a kind with the settings of the machine's last test, else usual ones, as TOML is read.
 
     Figures are compared under one condition. Its name holds machine and day, so that it becomes a campaign of its own.
+
+    ``kind``: that of the machine's last test without.
 
     Raises ``InputError`` when the kind is not known, or has no form for a plan.
     """
     record = read_record(home, require_name(machine, "the machine"))
     axes = (record.reach if record is not None else {}) or {axis: {} for axis in _USUAL_AXES}
-    document = {table: dict(known) for table, known in kind_named(kind).draft(machine, axes).items()}
     lake = Lake(home.lake)
-    tests = by_campaign(row for row in lake.runs(machine=machine) if row["kind"] == kind)
-    last = max(tests.values(), key=lambda rows: max(str(row["started"] or "") for row in rows), default=[])
-    for name, usual in document.get("grid", {}).items():
-        if isinstance(usual, list) and (then := {row[name] for row in last if row.get(name) is not None}):
-            document["grid"][name] = sorted(then)
+    kind, last = _last_test(lake, machine, kind)
+    runs = [lake.load(last[0], signals=False), *(Run(meta_of(row), {}) for row in last[1:])] if last else []
+    document = {table: dict(known) for table, known in kind_named(kind).draft(machine, axes, runs).items()}
     stem = f"{machine}-{document['plan']['name']}-{local_day().isoformat()}"
     taken = {*lake.campaigns(), *(path.stem for path in home.plans.glob("*.toml"))}
     free = (stem if n == 1 else f"{stem}-{n}" for n in range(1, len(taken) + 2))
     document["plan"]["name"] = next(name for name in free if name not in taken)
     return document
+
+
+def _last_test(lake: Lake, machine: str, kind: str) -> tuple[str, list[dict[str, Any]]]:
+    """Return the kind and the rows of the last test of a machine that has a form for a plan; ``kind``: only of it."""
+    among = [kind] if kind else drafting_kinds()
+    tests = by_campaign(row for row in lake.runs(machine=machine) if row["kind"] in among)
+    last = max(tests.values(), key=lambda rows: max((r["started"] or "", r["ingested"]) for r in rows), default=[])
+    return (str(last[0]["kind"]) if last else among[0]), last
 
 
 def with_settings(document: Mapping[str, Any], told: Mapping[str, str]) -> dict[str, Any]:

@@ -37,6 +37,7 @@ from dtwin.pipeline.sheet_changes import last_changes, sheet_changes
 from dtwin.plan_file import planned_document
 from dtwin.report.changes import change_table, changes_text, changes_title
 from dtwin.report.faults import title_of
+from dtwin.schema import DEFAULT_KIND
 from dtwin.units import UNITS, shown_unit
 from dtwin.workbench._bench import Bench, Here
 from dtwin.workbench._jobs import Tell
@@ -64,6 +65,7 @@ def plan_page(request: Request, bench: Here, name: str) -> Response:
     """Show the form of a test, how long it takes, what it would show, and what it could not tell apart."""
     kind, told = _told(request.url.query)
     draft = draft_of(bench.home, name, kind)
+    kind = str(draft["plan"].get("kind", kind or DEFAULT_KIND))
     forecast: Mapping[str, Any] | None = None
     refused = ""
     try:
@@ -91,6 +93,7 @@ def plan_page(request: Request, bench: Here, name: str) -> Response:
         refused=refused,
         with_programs=kind_named(kind).offers("programs"),
         foreseen=kind_named(kind).offers("foreseen"),
+        compared=kind_named(kind).offers("sheet"),
         **shown,
     )
 
@@ -120,8 +123,13 @@ def start_test(bench: Here, name: str, wanted: _PlanTold) -> JSONResponse:
         if not virtual:
             keep_plan(bench.home, document)
             return f"/machines/{name}#planned"
-        tell("measured by the flow simulate, ingested and compared; dtwin up shows its run")
+        tell("measured by the flow simulate and ingested; dtwin up shows its run")
         campaign = _measured(bench, name, document)
+        tell("compared with the last test of its kind")
+        try:
+            sheet_changes(bench.home, campaign)
+        except InputError:  # The first of its kind, or one without figures: its page shows what it is.
+            return f"/campaigns/{campaign}"
         return f"/machines/{name}/changes?campaign={campaign}"
 
     return accepted(bench.jobs.start(f"Test of {name}", work))
@@ -176,11 +184,11 @@ def _compared_plans(bench: Bench, machine: str) -> list[dict[str, Any]]:
 
 
 def _told(query: str) -> tuple[str, dict[str, str]]:
-    """Return the kind of a test and the settings that the address of its form holds."""
+    """Return the kind of a test, empty for that of the last one, and the settings that the address of its form holds."""
     if query.count("&") >= _MOST_SETTINGS:
         raise InputError("more settings than a plan has", code="plan.setting", allowed=f"up to {_MOST_SETTINGS}")
     told = {key: value[:_LONGEST] for key, value in parse_qsl(query, keep_blank_values=True)}
-    return told.pop("kind", drafting_kinds()[0]), told
+    return told.pop("kind", ""), told
 
 
 def _files(document: Mapping[str, Any], ending: _Ending) -> Response:

@@ -34,6 +34,7 @@ from dtwin.pipeline.planned_tests import draft_of, drafting_kinds, foretold, kee
 from dtwin.pipeline.sheet_changes import last_changes, sheet_changes
 from dtwin.plan_file import planned_document
 from dtwin.report.changes import changes_text
+from dtwin.schema import Run, RunMeta
 from dtwin.workbench._access import Access
 from dtwin.workbench._bench import Bench
 from dtwin.workbench.server import application
@@ -76,6 +77,23 @@ def test_a_form_begins_with_the_conditions_of_the_last_test_so_that_figures_can_
     assert len(draft_of(home, "mill-1", "circular")["grid"]["feed_mm_min"]) == 3
 
 
+def test_a_form_begins_with_the_last_test_of_any_kind(home: Home, tmp_path: Path) -> None:
+    """Kind, axis and targets of a laser; tones."""
+    ingest(write_laser(tmp_path / "y-1", "mill-7", "Y", 300.0, 4.0), Lake(home.lake))
+    form = browser(home).get("/machines/mill-7/plan").text
+    assert 'plan?kind=linear" aria-current="page"' in form
+    plan = draft_of(home, "mill-7")["plan"]
+    assert (plan["kind"], plan["axis"], plan["start"], plan["end"], plan["step"]) == ("linear", "Y", 10.0, 390.0, 20.0)
+    assert plan["runs"] == 5
+    # An error of 114 µm is outside of the usual window of a laser's trigger.
+    assert plan["window"] == pytest.approx(0.23, abs=0.02)
+    tone = RunMeta("g1", "sinusoidal", condition={"axis": "Y", "frequency_hz": 7.0, "amplitude_um": 3.0})
+    tones = kind_named("sinusoidal").draft("mill-7", {}, [Run(tone, {})])["plan"]
+    assert (tones["axis"], tones["frequencies_hz"], tones["amplitudes_um"]) == ("Y", [7.0], [3.0])
+    page = browser(home).get("/machines/mill-7/plan?kind=sinusoidal").text
+    assert "no figures of a standard that could be compared" in page
+
+
 def test_a_feed_in_the_unit_of_its_plan_says_so(home: Home) -> None:
     form = browser(home).get("/machines/mill-7/plan?kind=linear").text
     assert "feed, unit/min" in form
@@ -86,7 +104,7 @@ def test_a_feed_in_the_unit_of_its_plan_says_so(home: Home) -> None:
 def test_all_kinds_with_a_plan_have_a_form() -> None:
     assert drafting_kinds() == [kind.name for kind in kinds() if kind.offers("plan")]
     with pytest.raises(NotOffered):
-        kind_named("drift").draft("m", {})
+        kind_named("drift").draft("m", {}, ())
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from dtwin.acquire.programs import gcode, urscript
@@ -11,6 +11,7 @@ from dtwin.physics.experiment import REPEATS
 from dtwin.physics.state import AXES_OF
 from dtwin.plan import Plan, advice, duration_s, expand, training_plan
 from dtwin.report.text import table
+from dtwin.schema import Run
 
 # Lengths of usual ball bars, the room that their mounts need, and the travel of an axis of which nothing is stated.
 _BARS_MM = (50.0, 100.0, 150.0, 300.0)
@@ -82,8 +83,8 @@ def proposals(machine: str, axes: Mapping[str, Mapping[str, float]]) -> list[dic
     return out
 
 
-def draft(machine: str, axes: Mapping[str, Mapping[str, float]]) -> dict[str, Any]:
-    """Return a plan of one radius and three feeds in the first plane of the machine, both ways."""
+def draft(machine: str, axes: Mapping[str, Mapping[str, float]], last: Sequence[Run]) -> dict[str, Any]:
+    """Return a plan of the circles of the last test; else of one radius and three feeds in the first plane, both ways."""
     plane, pair = next(((p, pair) for p, pair in AXES_OF.items() if set(pair) <= set(axes)), ("XY", ()))
     grid = {
         "plane": [plane],
@@ -92,6 +93,9 @@ def draft(machine: str, axes: Mapping[str, Mapping[str, float]]) -> dict[str, An
         "directions": ["CCW", "CW"],
         "repeats": REPEATS,
     }
+    for name in ("plane", "radius_mm", "feed_mm_min"):
+        if then := {value for run in last if (value := getattr(run.meta, name)) is not None}:
+            grid[name] = sorted(then)
     return {"plan": {"name": "circles", "machine": machine, "seed": 1}, "grid": grid}
 
 

@@ -19,6 +19,7 @@ class _Lathe(VirtualMachine):
     kind = "linear"
     options: ClassVar[Options] = {PLAN: (), "truth": ("published", "mechanism")}
     clocks = ("machine", "wall")
+    seeds_measuring = True
 
     def simulate(self, request: Request, progress: Progress) -> Simulated:
         from dtwin.kinds.linear._simulate import simulate_lathe

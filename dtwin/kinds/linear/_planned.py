@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -15,12 +15,16 @@ from dtwin.kinds.linear._plan import LinearPlan, better_step, duration_s, linear
 from dtwin.physics.observations import Observations, observe
 from dtwin.plan_file import plan_settings
 from dtwin.schema import Campaign, Run, RunMeta
+from dtwin.units import UM_PER_MM
 
 # Intervals and sweeps of a short test and of one after ISO 230-2; turns beyond the ends; the travel of an axis of
 # which nothing is stated; the time to mount and align a laser.
 _SIZES = ((10, 3), (20, 5))
 _OVERSHOOT_MM = 5.0
+# Of the laser's trigger: an axis that is further off is not read.
+_WINDOW_MM = 0.05
 _TRAVEL_MM = 400.0
+_ROOM = 2.0
 _MOUNTING_S = 2700.0
 
 
@@ -66,10 +70,35 @@ def proposals(machine: str, axes: Mapping[str, Mapping[str, float]]) -> list[dic
     return [_proposal(machine, axis, axes[axis], *size) for axis in "XYZ" if axis in axes for size in _SIZES]
 
 
-def draft(machine: str, axes: Mapping[str, Mapping[str, float]]) -> dict[str, Any]:
-    """Return a full plan of the first axis."""
+def draft(machine: str, axes: Mapping[str, Mapping[str, float]], last: Sequence[Run]) -> dict[str, Any]:
+    """Return a full plan of the axis and the stretch of the last test; else of the first axis."""
     axis = next((axis for axis in "XYZ" if axis in axes), "X")
-    return _proposal(machine, axis, axes.get(axis, {}), *_SIZES[-1])
+    tested = str(last[0].meta.condition.get("axis", "")) if last else ""
+    if tested not in tuple("XYZ"):
+        return _proposal(machine, axis, axes.get(axis, {}), *_SIZES[-1])
+    known, positions = axes.get(tested, {}), last[0].samples["position_mm"]
+    targets = np.unique(np.round(positions, 3))
+    document = _proposal(machine, tested, known, *_SIZES[-1])
+    off_mm = float(np.abs(last[0].samples["error_um"]).max()) / UM_PER_MM
+    first_mm, step = float(targets[0]), round(float(np.median(np.diff(targets))), 3) if targets.size > 1 else 0.0
+    if step <= 0.0:
+        return document
+    end_mm = round(first_mm + round((float(targets[-1]) - first_mm) / step) * step, 3)
+    low_mm = known.get("low_mm", min(0.0, first_mm - _OVERSHOOT_MM))
+    travel_mm = known.get("travel_mm", max(_TRAVEL_MM, end_mm + _OVERSHOOT_MM - low_mm))
+    document["plan"] |= {
+        "name": f"{tested.lower()}-{round((end_mm - first_mm) / step) + 1}-targets",
+        "start": first_mm,
+        "end": end_mm,
+        "step": step,
+        "runs": max(1, round(positions.size * len(last) / (2 * targets.size))),
+        "overshoot": min(_OVERSHOOT_MM, first_mm - low_mm, low_mm + travel_mm - end_mm),
+        "axis_low": low_mm,
+        "axis_high": low_mm + travel_mm,
+        "pitch": known.get("pitch_mm", float(last[0].meta.condition.get("screw_pitch_mm", 0.0))),
+        "window": round(min(max(_WINDOW_MM, _ROOM * off_mm), step / 4.0), 3),
+    }
+    return document
 
 
 def _proposal(machine: str, axis: str, known: Mapping[str, float], intervals: int, runs: int) -> dict[str, Any]:
@@ -91,6 +120,7 @@ def _proposal(machine: str, axis: str, known: Mapping[str, float], intervals: in
         "axis_low": low_mm,
         "axis_high": low_mm + travel_mm,
         "pitch": known.get("pitch_mm", 0.0),
+        "window": _WINDOW_MM,
     }
     plan = linear_plan(stated, "the proposal")
     better = better_step(plan, 2.0 * step) if plan.pitch > 0.0 else None

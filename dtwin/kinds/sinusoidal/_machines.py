@@ -18,6 +18,7 @@ class _Turning(VirtualMachine):
     kind = "sinusoidal"
     options: ClassVar[Options] = {PLAN: (), "truth": ("linear", "hardening", "friction")}
     clocks = ("machine",)
+    seeds_measuring = True
 
     def simulate(self, request: Request, progress: Progress) -> Simulated:
         from dtwin.kinds.sinusoidal._simulate import simulate_turning

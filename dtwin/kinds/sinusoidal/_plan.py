@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from typing import Any
@@ -230,8 +230,8 @@ def planned(document: Mapping[str, Any], where: str) -> Planned:
     )
 
 
-def draft(machine: str, axes: Mapping[str, Mapping[str, float]]) -> dict[str, Any]:
-    """Return a plan of three frequencies and two amplitudes of the last axis, each three times."""
+def draft(machine: str, axes: Mapping[str, Mapping[str, float]], last: Sequence[Run]) -> dict[str, Any]:
+    """Return a plan of the tones of the last test, else of three frequencies and two amplitudes of the last axis; each three times."""
     stated: dict[str, Any] = {
         "name": "tones",
         "machine": machine,
@@ -244,6 +244,14 @@ def draft(machine: str, axes: Mapping[str, Mapping[str, float]]) -> dict[str, An
         "bandwidth_hz": 0.0,
         "seed": 1,
     }
+    then = [run.meta.condition for run in last]
+    if then and {"axis", "frequency_hz", "amplitude_um"} <= then[0].keys():
+        axis = str(then[0]["axis"])
+        stated["axis"] = axis
+        stated["bandwidth_hz"] = float(then[0].get(f"{axis.lower()}_bandwidth_hz", 0.0))
+        for name in ("frequencies_hz", "amplitudes_um"):
+            one = {"frequencies_hz": "frequency_hz", "amplitudes_um": "amplitude_um"}[name]
+            stated[name] = sorted({float(condition[one]) for condition in then})
     return {"plan": {"kind": "sinusoidal", **stated}}
 
 

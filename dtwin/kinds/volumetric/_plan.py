@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
+
+import numpy as np
 
 from dtwin.kinds.kind import Planned
 from dtwin.kinds.volumetric._heat_series import FEWEST_CYCLES
 from dtwin.plan_file import filled, obeying, plan_settings
-from dtwin.schema import Finding
+from dtwin.schema import Finding, Run
 
 # Beyond this a ball moves too far while the others are touched.
 MOST_DRIFT_UM = 6.0
@@ -183,8 +185,8 @@ def planned(document: Mapping[str, Any], where: str) -> Planned:
     )
 
 
-def draft(machine: str, axes: object) -> dict[str, Any]:
-    """Return a plan of a day, with a cycle each hour."""
+def draft(machine: str, axes: object, last: Sequence[Run]) -> dict[str, Any]:
+    """Return a plan of a day, with a cycle each hour; of the array and the poses of the last test."""
     stated: dict[str, Any] = {
         "name": "ball-array",
         "machine": machine,
@@ -196,4 +198,13 @@ def draft(machine: str, axes: object) -> dict[str, Any]:
         "ball_s": 27.0,
         "drift_um_h": 0.0,
     }
+    begun_h = np.unique([float(run.meta.condition["time_h"]) for run in last if "time_h" in run.meta.condition])
+    if begun_h.size > 1:
+        every_h = round(float(np.diff(begun_h).min()), 3)
+        stated |= {"every_h": every_h, "hours": round(float(np.ptp(begun_h)) + every_h, 3)}
+    if last and {"pose_1", "ball_1"} <= last[0].samples.keys():
+        pose, ball = last[0].samples["pose_1"], last[0].samples["ball_1"]
+        stated["table_balls"] = max(FEWEST_TABLE_BALLS, np.unique(ball[pose == 0]).size)
+        stated |= {"balls": np.unique(ball[pose > 0]).size, "poses": np.unique(pose[pose > 0]).size}
+        stated["ball_s"] = round(float(np.median(np.diff(last[0].samples["t_s"]))), 1)
     return {"plan": {"kind": "volumetric", **stated}}

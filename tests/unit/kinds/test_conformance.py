@@ -50,7 +50,7 @@ EFFECTS = {
 # What a verb is called with, where it is refused.
 GIVEN: dict[str, tuple[Any, ...]] = {
     "plan": ({}, "here"),
-    "draft": ("m", {}),
+    "draft": ("m", {}, ()),
     "programs": (None, ""),
     "foreseen": (None,),
     "proposals": ("m", {}),
