@@ -181,7 +181,8 @@ class _Measured:
         ``group``: what it stands in place of, together with its ``mates``.
         """
         tops = [g[0] for g in self.groups if label not in g and g[0] not in group]
-        estimates = self._estimates((*tops, *mates, label)).get(label)
+        fitted = self._estimates((*tops, *mates, label)).get(label, [])
+        estimates = [e for e in fitted if not e.is_unseen]
         if not estimates or not all(e.identifiable and np.isfinite(e.uncertainty) for e in estimates):
             return None
         value, uncertainty = _length(estimates)
@@ -280,7 +281,7 @@ def _settled(one: _Measured, group: tuple[str, ...], measured: Sequence[_Measure
     judged: list[_Judged] = []
     for label in group:
         cause = one.cause_of(label)
-        there = None if cause is None else _elsewhere(cause, others)
+        there = _absent_in(label, group, one, others) if cause is None else _elsewhere(cause, others)
         # A group of few runs has very many names: those that no other test sees are not fitted.
         here = None if there is None else one.size(label, group)
         if there is not None and _is_weak(here, label, group):
@@ -300,6 +301,18 @@ def _settled(one: _Measured, group: tuple[str, ...], measured: Sequence[_Measure
         ruled_out |= {label for label in fallen if _is_weak(one.size(label, group), label, group)}
     left = agreed or tuple(label for label in group if label not in ruled_out)
     return Settled(one.test.campaign, group, tuple(judged), left)
+
+
+def _absent_in(label: str, group: tuple[str, ...], one: _Measured, others: Iterable[_Measured]) -> Size | None:
+    """Return the size of an effect, zero within its uncertainty, in a test of the kind that names another one of the group alone.
+
+    None where no such test has other conditions: what one test cannot tell, another one of the same conditions cannot either.
+    """
+    like = (o for o in others if o.test.obs.grid.kind == one.test.obs.grid.kind)
+    wider = [o for o in like if set(o.test.obs.conditions) - set(one.test.obs.conditions)]
+    telling = [o for o in wider if any(g[0] in group and g[0] != label for g in o.groups if len(g) == 1)]
+    sizes = [size for o in telling if (size := o.size(label)) is not None and not _is_there(size)]
+    return min(sizes, key=lambda size: size.uncertainty, default=None)
 
 
 def _is_weak(here: Size | None, label: str, group: tuple[str, ...]) -> bool:

@@ -28,7 +28,9 @@ def implausible(terms: Sequence[Term], values: Floats) -> Mapping[str, str]:
         said = []
         for shape in effect.shapes:
             at, (low, high) = term.shape[shape.name], shape.bounds
-            if not low * (1.0 + _AT_LIMIT) <= at < high / (1.0 + _AT_LIMIT):
+            # A limit at which an effect begins is its plain law: a drift that does not settle.
+            below = at < high / (1.0 + _AT_LIMIT) or shape.start >= high
+            if not (low * (1.0 + _AT_LIMIT) <= at and below):
                 said.append(
                     f"its {shape.name} of {shown_number(at)} {shape.unit} lies at a limit of what is possible "
                     f"({shown_number(low)} to {shown_number(high)})"

@@ -62,7 +62,7 @@ def _require_two(home: Home, machine: str, campaigns: Sequence[str]) -> None:
             where=machine,
             got=", ".join(campaigns) or "none",
             allowed="campaigns of circles, positions or tones; of the same kind, of other planes, axes or days",
-            hint=f"dtwin machine show {machine}",
+            hint=f"older ones of the same sort by --campaign NAME, once for each: dtwin machine show {machine}",
         )
 
 

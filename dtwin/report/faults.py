@@ -74,9 +74,8 @@ def faults(
     for term in twin.terms:
         own = (label for label in _labels(twin, term) if label in instead)
         others = tuple(title_of(label, library or {}) for label in instead.get(next(own, ""), ()))
-        told = told_of(twin, term)
-        fault = _fault(term.instance.effect, term.instance.axis, told)
-        sizes = sizes_of(told)
+        fault = replace(_fault(term.instance.effect, term.instance.axis, ()), size=_size_in(twin, term))
+        sizes = sizes_of(told_of(twin, term))
         if sizes and all(abs(value) <= spread for _, value, spread, _ in sizes):
             fault = replace(fault, remedy=AS_ZERO)
         if alike := _alike(twin, term):
@@ -90,7 +89,20 @@ def faults(
 def told_of(twin: Twin, term: Term) -> list[Estimate]:
     """Return the parameters of an effect of a twin; none is told where its runs show the effect and another one of the twin alike."""
     alike = bool(_alike(twin, term))
-    return [replace(e, identifiable=e.identifiable and not alike) for e in twin.estimates_of(term)]
+    where = term.instance.effect.name, term.instance.axis
+    # Of a wave campaigns share the amplitude and nothing else.
+    shared = [e for e in twin.estimates if (e.effect, e.axis, e.name) == (*where, "amplitude")]
+    return [replace(e, identifiable=e.identifiable and not alike) for e in shared or twin.estimates_of(term)]
+
+
+def _size_in(twin: Twin, term: Term) -> str:
+    """Return the size of an effect of a twin; of what campaigns do not share, such as the drift of a day, that of each."""
+    told = told_of(twin, term)
+    if sizes_of(told) or not isinstance(twin, SeveralTwin):
+        return size_of(told)
+    own = [(part, t) for part in twin.parts for t in part.terms if key_of(t) == key_of(term)]
+    sizes = [f"{size_of(mine)} in {part.campaign}" for part, t in own if sizes_of(mine := told_of(part, t))]
+    return "; ".join(sizes) or size_of(told)
 
 
 def _alike(twin: Twin, term: Term) -> list[tuple[str, str]]:
@@ -228,7 +240,7 @@ def sized_effects(twin: Twin, shares: Budget | None = None) -> list[dict[str, An
         sizes = sizes_of(mine)
         _, value, spread, unit = sizes[0] if sizes else ("", None, None, term.instance.effect.parameters[0].unit)
         made = {"makes_um": makes_um[term.label]} if term.label in makes_um else {}
-        out.append({**entry, "size": size_of(mine), "value": value, "k2": spread, "unit": unit, **made})
+        out.append({**entry, "size": _size_in(twin, term), "value": value, "k2": spread, "unit": unit, **made})
     return out
 
 

@@ -97,6 +97,18 @@ def test_lost_motion_of_two_axes_falls_with_that_of_one() -> None:
     assert settled.left == ("friction X",)
 
 
+def test_what_a_wider_test_of_the_kind_names_alone_is_no_group_of_the_narrow_one() -> None:
+    mill = MillParameters(cup_lobe_um=1.0, cup_phase_rad=2.0)
+    wide = mill_and_laser.circles(mill, 2, radii_mm=(50.0, 150.0))
+    tests = [circles(mill), judged("wide", wide)]
+    assert [[s.label for s in group] for group in tests[1].found.found] == [["instrument_artefact"]]
+    settled = settled_with(joint(tests, LIBRARY), "instrument_artefact")
+    assert {"straightness X", "straightness Y"} <= {*settled.group}
+    assert settled.left == ("instrument_artefact",)
+    # Equal conditions tell nothing.
+    assert not joint([tests[0], judged("again", mill_and_laser.circles(mill, 3))], LIBRARY).settled
+
+
 def test_one_axis_of_two_settles_nothing_of_their_difference(monkeypatch: pytest.MonkeyPatch) -> None:
     bar = circles(MillParameters().with_axis("X", scale_ppm=30.0))
     fitted: list[Observations] = []

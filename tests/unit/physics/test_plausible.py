@@ -30,3 +30,11 @@ def test_a_value_or_shape_at_its_limit_is_said(shape: dict[str, float], values: 
     found = implausible([term], np.array(values)).get("reversal_spike X", "")
     assert said in found
     assert bool(said) == bool(found)
+
+
+def test_a_drift_that_does_not_settle_is_told() -> None:
+    """Its time constant begins at its limit."""
+    drift = LIBRARY["thermal_drift"]
+    for settling_h, is_at_limit in ((drift.start_shape["settling_h"], False), (0.05, True)):
+        term = Term(Instance(drift, ""), {"settling_h": settling_h})
+        assert bool(implausible([term], np.ones(len(drift.parameters)))) == is_at_limit

@@ -25,6 +25,7 @@ from dtwin.physics.several import SeveralFit, fit_several
 from dtwin.physics.several_diagnosis import diagnose_several
 from dtwin.physics.several_sizes import covariance_in, sizes_of
 from dtwin.physics.several_twin import SeveralTwin, several_twin_of, started_of
+from dtwin.report.faults import sized_effects
 from dtwin.report.several import _settled_lines
 from dtwin.twins.learn import _together
 
@@ -198,6 +199,18 @@ def test_phases_of_a_wave_are_of_each_campaign_and_its_amplitude_is_of_the_machi
     found, told = apart(bars_with_screws((2.0, 0.0), (2.0, 2.0)), "cyclic_error:X")
     assert (found.estimates[0].name, told) == ("amplitude", ())
     assert found.estimates[0].value == pytest.approx(2.0, abs=0.2)
+
+
+def test_the_size_of_what_campaigns_do_not_share_is_told_of_each() -> None:
+    bars = [circles(MillParameters(cup_lobe_um=2.0), seed, f"b{seed}", f"2026-0{seed}-05") for seed in (1, 2)]
+    found, told = apart(bars, "instrument_artefact")
+    twin = several_twin_of(found, told, bars, name="m", version=1, action="fit", data=[{}, {}])
+    ((size, *_),) = [effect["size"].split(" µm in ") for effect in sized_effects(twin)]
+    assert float(size.split(" ± ")[0]) == pytest.approx(2.0, abs=0.2)
+    waves = bars_with_screws((2.0, 0.0), (2.0, 2.0))
+    found, told = apart(waves, "cyclic_error:X")
+    (wave,) = sized_effects(several_twin_of(found, told, waves, name="m", version=1, action="fit", data=[{}, {}]))
+    assert wave["value"] == pytest.approx(2.0, abs=0.2)
 
 
 def test_a_screw_that_got_worse_is_a_contradiction_of_amplitudes() -> None:
