@@ -99,9 +99,9 @@ def campaign_named(file: str) -> str:
 
 def of_machines(files: Sequence[str], machines: Collection[str], anew: Collection[str]) -> list[str]:
     """Return the files of runs of machines; what was stated ``anew`` of a campaign may be its machine."""
-    return [f for f in files if _machine_of(f) in {*machines, None} or campaign_named(f) in anew]
+    return [f for f in files if machine_named(f) in {*machines, None} or campaign_named(f) in anew]
 
 
-def _machine_of(file: str) -> str | None:
+def machine_named(file: str) -> str | None:
     """Return the machine of which a campaign was ingested; None where the name of its file does not say."""
     return stem_of(file).partition("/")[2] or None

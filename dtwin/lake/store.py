@@ -14,7 +14,15 @@ import pyarrow as pa
 from dtwin.errors import InputError
 from dtwin.home_file import Bucket
 from dtwin.lake._admission import accepted, fresh, require_same_statements
-from dtwin.lake._file_batch import Batch, campaign_named, names_of, of_machines, samples_part, signal_parts
+from dtwin.lake._file_batch import (
+    Batch,
+    campaign_named,
+    machine_named,
+    names_of,
+    of_machines,
+    samples_part,
+    signal_parts,
+)
 from dtwin.lake._folders import Place, writing
 from dtwin.lake._log import content_hash
 from dtwin.lake.delta import DeltaFiles, Moved, file_of, part_of
@@ -220,6 +228,12 @@ class Lake:
         for file in [*runs, *told]:
             by_campaign.setdefault(campaign_named(file), []).append(file)
         return by_campaign
+
+    def machines_by_campaign(self) -> dict[str, str | None]:
+        """Return the machine of each campaign by the names of its files, which are not read; None where they do not say."""
+        files = self.tables["runs"].files()
+        told = {campaign_named(file): machine_named(file) for file in files}
+        return told | dict.fromkeys(map(campaign_named, self.tables["amendments"].files()))
 
     def campaign(self, name: str) -> Campaign:
         """Return what is known of a campaign. Raises ``InputError`` when no visible run belongs to it."""

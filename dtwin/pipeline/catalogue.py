@@ -67,6 +67,16 @@ def catalogue(home: Home) -> list[Overview]:
     )
 
 
+def outlines(home: Home) -> list[Overview]:
+    """Return the campaigns of which a run is used, with name and machine alone: what the names of files do not say is read."""
+    lake = Lake(home.lake)
+    machines = lake.machines_by_campaign()
+    unsaid = [name for name, machine in machines.items() if machine is None]
+    read = {row["campaign"]: row["machine"] for row in (lake.runs(unsaid) if unsaid else ())}
+    named = {name: machine for name, machine in machines.items() if machine is not None} | read
+    return [Overview(name, machine, "", "", "", 0, 0, 1, "", (), (), (), (), (), {}) for name, machine in named.items()]
+
+
 @dataclass(frozen=True)
 class TwinLine:
     """A twin in one line.

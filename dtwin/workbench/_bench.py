@@ -6,6 +6,7 @@ import json
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Hashable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, cast
@@ -13,7 +14,7 @@ from typing import Annotated, Any, TypeVar, cast
 from fastapi import Depends, Request
 
 from dtwin.config import Home
-from dtwin.errors import InputError, StoreError
+from dtwin.errors import DtwinError, InputError, StoreError
 from dtwin.kinds.registry import kind_named
 from dtwin.lake.store import Lake
 from dtwin.physics.effect import Effect
@@ -29,6 +30,8 @@ from dtwin.workbench._jobs import Jobs
 from dtwin.workbench._uploads import Trays
 
 _Result = TypeVar("_Result")
+# So long a page waits for what is read once and kept.
+_PATIENCE_S = 0.7
 
 
 class Cache:
@@ -149,6 +152,18 @@ class Bench:
     def campaigns(self) -> Sequence[Overview]:
         """Return all campaigns, the newest ingest first."""
         return self.cache.get(("catalogue", *self.lake_version), lambda: catalogue(self.home))
+
+    def campaigns_soon(self) -> Sequence[Overview] | None:
+        """Return the same; None where a page would have to wait for it: that many are read once, and are kept."""
+
+        def read() -> None:
+            with suppress(DtwinError):  # The next who asks is told.
+                self.campaigns()
+
+        reading = threading.Thread(target=read, daemon=True)
+        reading.start()
+        reading.join(_PATIENCE_S)
+        return None if reading.is_alive() else self.campaigns()
 
     def campaigns_of(self, machine: str, kind: str = "") -> list[str]:
         """Return the names of the campaigns of a machine, sorted; of one kind where it is given."""

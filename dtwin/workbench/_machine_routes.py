@@ -15,6 +15,7 @@ from starlette.responses import JSONResponse, Response
 from dtwin.errors import InputError
 from dtwin.kinds.registry import kinds
 from dtwin.machine_record import EVENTS, FACTS, keep_record, record_with, with_event, without_event
+from dtwin.pipeline.catalogue import outlines
 from dtwin.pipeline.machine_history import drop_machine, machine_overviews, other_series
 from dtwin.pipeline.machine_joint import is_compared, machine_joint
 from dtwin.pipeline.machine_next import machine_next
@@ -96,8 +97,23 @@ class _ScheduleTold(BaseModel):
 @router.get("/machines")
 def machine_list(request: Request, bench: Here) -> Response:
     """Show all machines; what their tests say is filled in afterwards, for it may take long the first time."""
-    overviews = machine_overviews(bench.home, bench.campaigns(), bench.twin_lines())
-    return rendered(request, "machines.html", title="Machines", machines=overviews, limit_mb=MAX_TRAY_BYTES // 1024**2)
+    read = bench.campaigns_soon()
+    named = outlines(bench.home) if read is None else read
+    return rendered(
+        request,
+        "machines.html",
+        title="Machines",
+        machines=machine_overviews(bench.home, named, bench.twin_lines()),
+        unread=0 if read is not None else len(named),
+        limit_mb=MAX_TRAY_BYTES // 1024**2,
+    )
+
+
+@router.get("/api/machines")
+def last_tests(bench: Here) -> dict[str, str]:
+    """Return the day of the last test of every machine, empty where none is stated, once all campaigns are read."""
+    every = machine_overviews(bench.home, bench.campaigns(), bench.twin_lines())
+    return {one["machine"]: one["last_test"] for one in every}
 
 
 @router.get("/machines/{name}")

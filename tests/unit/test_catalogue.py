@@ -3,6 +3,7 @@ from __future__ import annotations
 import os
 import re
 import shutil
+import threading
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,9 +16,9 @@ from dtwin.config import Home
 from dtwin.documents import write_document
 from dtwin.errors import StoreError
 from dtwin.lake.store import Lake
-from dtwin.pipeline.catalogue import catalogue, twin_lines
+from dtwin.pipeline.catalogue import catalogue, outlines, twin_lines
 from dtwin.pipeline.machine_history import machine_overviews
-from dtwin.workbench import _campaign_routes
+from dtwin.workbench import _bench, _campaign_routes
 from dtwin.workbench._access import Access
 from dtwin.workbench._bench import Bench
 from dtwin.workbench.server import application
@@ -65,6 +66,29 @@ def test_runs_of_a_campaign_that_did_not_change_are_not_read(home: Home) -> None
     assert after["a"] == before["a"]
     amended(lake, "b", "r0", {"setup": "anew"})
     assert {line.name: line for line in catalogue(home)}["b"].setups == ["anew"]
+
+
+def test_while_campaigns_are_read_machines_are_shown_by_the_names_of_files(
+    home: Home, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lake = Lake(home.lake)
+    amended(lake, "a", "r1", {"machine": "m3"})
+    amended(lake, "b", "r0", {"left_out": True})
+    committed(lake, "c", "m2", ["2024-06-01T08:00:00Z"])
+    known = {(one.name, one.machine) for one in outlines(home)}
+    assert known == {(one.name, one.machine) for one in catalogue(home) if one.used}
+    let_go = threading.Event()
+    monkeypatch.setattr(_bench, "catalogue", lambda home: let_go.wait(300) and catalogue(home))
+    monkeypatch.setattr(_bench, "_PATIENCE_S", 0.01)
+    access = Access("127.0.0.1", 8765)
+    client = TestClient(application(Bench(home, access)), base_url="http://127.0.0.1:8765")
+    enter(client, access.token)
+    page = client.get("/machines").text
+    assert 'data-unread="2"' in page
+    assert 'data-machine="m2"' in page
+    assert "2024-06-01" not in page
+    let_go.set()
+    assert client.get("/api/machines").json()["m2"] == "2024-06-01"
 
 
 @pytest.mark.parametrize("at", [0.1, 0.5, 0.9])

@@ -642,6 +642,14 @@ async function fillMachine(row) {
 async function fillMachines() {
   const rows = all("[data-machine]");
   const judged = document.querySelector("[data-judged]");
+  const unread = document.querySelector("[data-unread]");
+  if (unread) {
+    judged.textContent = `; ${unread.dataset.unread} campaigns are being read, once`;
+    const days = await ask("/api/machines").catch(() => ({}));
+    for (const row of rows.filter((one) => one.dataset.machine in days)) {
+      row.querySelector('[data-cell="last"]').textContent = days[row.dataset.machine] || "not stated";
+    }
+  }
   for (const [done, row] of rows.entries()) {
     judged.textContent = `; by name until all are judged: ${done} of ${rows.length}`;
     await fillMachine(row);
