@@ -112,9 +112,8 @@ class Planned:
 class Drawing:
     """A figure of one run; ``title``: what it shows, for those who do not see it.
 
-    ``draw(run, floor_um)``: the plotly figure; ``floor_um`` is called for the noise floor of the campaign, NaN when it is
-    not known, by figures that show it. ``half``: whether two such figures stand side by side; ``in_sheet``: whether the picture
-    of the test sheet of one run shows it already.
+    ``draw(run, floor_um)``: the plotly figure; ``floor_um`` gives the noise floor, NaN when it is not known. ``half``: whether two
+    stand side by side; ``in_sheet``: whether the picture of the test sheet shows it already; ``fits(run)``: whether a run has it.
     """
 
     name: str
@@ -124,6 +123,7 @@ class Drawing:
     half: bool = False
     note: str = ""
     in_sheet: bool = False
+    fits: Callable[[Run], bool] | None = None
 
 
 class Kind:

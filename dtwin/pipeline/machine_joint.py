@@ -20,6 +20,7 @@ from dtwin.pipeline.kept import kept, kept_already, stamp_of
 from dtwin.pipeline.machine_history import require_machine
 from dtwin.progress import Progress
 from dtwin.report.joint import joint_lines
+from dtwin.twins.diagnosing_code import diagnosing_code
 from dtwin.twins.measured import load
 
 _Rows = Sequence[Mapping[str, Any]]
@@ -97,8 +98,9 @@ def is_compared(home: Home, machine: str, library: Mapping[str, Effect]) -> bool
 
 
 def _stamp(chosen: Mapping[str, _Rows], library: Mapping[str, Effect]) -> str:
-    """Return what changes with the tests, and with the effects that may be in them."""
-    return " ".join(f"{name} {stamp_of(mine)}" for name, mine in chosen.items()) + " ".join(library)
+    """Return what changes with the tests, with the effects that may be in them, and with the code that finds them."""
+    tests = (f"{name} {stamp_of(mine)}" for name, mine in chosen.items())
+    return " ".join([*tests, *library, diagnosing_code()])
 
 
 def _compared(

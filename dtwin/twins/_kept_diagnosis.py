@@ -6,8 +6,6 @@ import hashlib
 import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +28,7 @@ from dtwin.physics.observations import Observations
 from dtwin.physics.several_diagnosis import SeveralDiagnosis
 from dtwin.physics.several_twin import SeveralTwin, started_of
 from dtwin.physics.twin import Twin, data_lines
+from dtwin.twins.diagnosing_code import MADE_BY, diagnosing_code
 from dtwin.twins.measured import Loaded
 from dtwin.twins.registration import diagnosis_path
 
@@ -37,8 +36,6 @@ MADE_FROM = "made_from"
 """Where a stored diagnosis says what it was made from."""
 ALONE = "alone"
 """Where a stored diagnosis of several campaigns has that of each by itself."""
-_PACKAGE = Path(str(dtwin.__file__)).parent
-_DIAGNOSING = ("physics/**/*.py", "kinds/**/*.py", "features/**/*.py", "twins/*.py", "statistics.py", "kinematics.py")
 
 
 def made_from(path: Path, loaded: Loaded, library: Mapping[str, Effect], seed: int) -> str:
@@ -51,7 +48,11 @@ def made_from(path: Path, loaded: Loaded, library: Mapping[str, Effect], seed: i
     if not is_built_in(library):
         return ""
     digest = hashlib.sha256(path.read_bytes())
-    for part in (*_parts(loaded.obs), repr((data_lines(loaded.data), sorted(library), seed)).encode(), _code()):
+    for part in (
+        *_parts(loaded.obs),
+        repr((data_lines(loaded.data), sorted(library), seed)).encode(),
+        diagnosing_code().encode(),
+    ):
         digest.update(part)
     return digest.hexdigest()
 
@@ -65,7 +66,7 @@ def made_from_rows(path: Path, rows: Sequence[Mapping[str, Any]], seed: int) -> 
     """Return the same of a campaign that has no grid; ``rows``: its runs in the lake, with all that is said of them."""
     digest = hashlib.sha256(path.read_bytes())
     digest.update(repr(([sorted(row.items()) for row in rows], seed)).encode())
-    digest.update(_code())
+    digest.update(diagnosing_code().encode())
     return digest.hexdigest()
 
 
@@ -101,7 +102,7 @@ def kept_several(
     # What several say of a candidate is where it was found, too.
     plain = [{name: value for name, value in one.items() if name != "campaign"} for one in document["candidates"]]
     found = _diagnosis({**document, "candidates": plain})
-    own = {*found.as_dict(), MADE_FROM, ALONE, "twin", "version", "campaign"} - {"candidates"}
+    own = {*found.as_dict(), MADE_FROM, MADE_BY, ALONE, "twin", "version", "campaign"} - {"candidates"}
     more = {name: value for name, value in document.items() if name not in own}
     return _Several(**vars(found), tests=tests, more=more)
 
@@ -141,15 +142,6 @@ def _parts(obs: Observations) -> Iterator[bytes]:
         for name, value in sorted(row.items()):
             yield name.encode() + np.asarray(value).tobytes()
     yield repr((obs.grid.kind, obs.campaign, obs.runs, obs.conditions, obs.setups)).encode()
-
-
-@cache
-def _code() -> bytes:
-    """Return a check sum of the code that diagnoses, and of the versions of what it computes with."""
-    digest = hashlib.sha256(f"{version('numpy')} {version('scipy')}".encode())
-    for file in sorted(file for part in _DIAGNOSING for file in _PACKAGE.glob(part)):
-        digest.update(file.read_bytes())
-    return digest.digest()
 
 
 def _diagnosis(document: Mapping[str, Any]) -> Diagnosis:

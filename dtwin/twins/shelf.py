@@ -15,6 +15,7 @@ from dtwin.errors import InputError, StoreError
 from dtwin.locks import locked
 from dtwin.schema import DEFAULT_KIND, require_name
 from dtwin.shared_documents import follow_shared
+from dtwin.twins.diagnosing_code import MADE_BY, diagnosing_code
 from dtwin.twins.registration import diagnosis_path, log_soon, place_of, version_name, version_number, version_paths
 
 PATHS = "paths"
@@ -175,7 +176,8 @@ class TwinShelf:
             return
         at_once = self.home.mlflow_at_once
         try:
-            write_document(diagnosis_path(self._file(document)), document, "the diagnosis")
+            kept = {**document, MADE_BY: diagnosing_code()}
+            write_document(diagnosis_path(self._file(document)), kept, "the diagnosis")
             self._tell(document["twin"], at_once=at_once)
         except StoreError as error:
             self.unkept, self._why_unkept = document, error

@@ -12,6 +12,7 @@ from starlette.responses import HTMLResponse, JSONResponse, Response
 
 from dtwin.acquire.amending import amend, leave_out
 from dtwin.errors import InputError
+from dtwin.kinds.kind import Drawing
 from dtwin.kinds.registry import kind_named
 from dtwin.lake.rows import campaign_of
 from dtwin.pipeline.catalogue import overview
@@ -19,9 +20,9 @@ from dtwin.pipeline.certificate import certificate
 from dtwin.pipeline.kept import findings_of, grouped_findings
 from dtwin.report.pdf import pdf_of
 from dtwin.report.sheet import budget_rows, notes_beside
-from dtwin.schema import fresh_name
+from dtwin.schema import Run, fresh_name
 from dtwin.workbench._bench import Bench, Here, possible_effects
-from dtwin.workbench._pages import begun, download, drawn, rendered
+from dtwin.workbench._pages import begun, download, drawn, in_language, rendered
 from dtwin.workbench._reading import campaign_floor, campaign_sheet_of
 from dtwin.workbench._uploads import MAX_TRAY_BYTES
 
@@ -140,7 +141,7 @@ def certificate_file(bench: Here, name: str, ending: Literal["html", "pdf"], lan
     """
     made = certificate(bench.home, name, language)
     if ending == "pdf":
-        return download(pdf_of(made), f"{name}.pdf", "application/pdf")
+        return download(pdf_of(made), f"{in_language(name, language)}.pdf", "application/pdf")
     return HTMLResponse(made, headers={"Content-Security-Policy": _SHUT_OFF})
 
 
@@ -166,7 +167,7 @@ def run_page(request: Request, bench: Here, name: str, run_id: str) -> Response:
         notes=notes_beside(sheet) if part >= 0 else [],
         part=part,
         shown=sheet["parts"][part] if part >= 0 else None,
-        drawings=[d for d in kind.drawings if part < 0 or not d.in_sheet] if kind.offers("drawings") else (),
+        drawings=_drawings_of(bench, name, row, in_sheet=part >= 0),
     )
 
 
@@ -183,9 +184,20 @@ def run_figure(bench: Here, name: str, run_id: str, figure: str) -> Response:
             got=figure[:40],
             allowed=", ".join(drawings),
         )
-    key = ("run", name, run_id, row["content_sha256"], row["metadata_version"])
-    run = bench.cache.get(key, lambda: bench.lake.load(row, signals=False))
-    return drawn(drawings[figure].draw(run, lambda: campaign_floor(bench, name).um))
+    return drawn(drawings[figure].draw(_run_of(bench, name, row), lambda: campaign_floor(bench, name).um))
+
+
+def _drawings_of(bench: Bench, name: str, row: Mapping[str, Any], *, in_sheet: bool) -> list[Drawing]:
+    """Return the pictures of a run that its page shows beside that of its test sheet."""
+    kind = kind_named(row["kind"])
+    every = kind.drawings if kind.offers("drawings") else ()
+    beside = [d for d in every if not (in_sheet and d.in_sheet)]
+    return [d for d in beside if d.fits is None or d.fits(_run_of(bench, name, row))]
+
+
+def _run_of(bench: Bench, name: str, row: Mapping[str, Any]) -> Run:
+    key = ("run", name, row["run_id"], row["content_sha256"], row["metadata_version"])
+    return bench.cache.get(key, lambda: bench.lake.load(row, signals=False))
 
 
 @router.post("/api/campaigns/{name}/amend")

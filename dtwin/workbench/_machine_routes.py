@@ -27,7 +27,7 @@ from dtwin.report.pdf import pdf_of
 from dtwin.units import shown_unit
 from dtwin.workbench._bench import Bench, Here
 from dtwin.workbench._jobs import Tell
-from dtwin.workbench._pages import accepted, begun, download, drawn, rendered
+from dtwin.workbench._pages import accepted, begun, download, drawn, in_language, rendered
 from dtwin.workbench._plan_routes import planned_of, plans_zip
 from dtwin.workbench._uploads import MAX_TRAY_BYTES
 
@@ -147,7 +147,7 @@ def _figures_of(history: Mapping[str, Any]) -> list[str]:
 @router.get("/machines/{name}/report.{ending}")
 def report(bench: Here, name: str, ending: Literal["html", "pdf"], language: str = "en") -> Response:
     """Return what is known of a machine and what its tests say over time, as one file that needs nothing else."""
-    made, file = machine_report(bench.history(name), language), f"{name}.{ending}"
+    made, file = machine_report(bench.history(name), language), f"{in_language(name, language)}.{ending}"
     return download(made, file, "text/html") if ending == "html" else download(pdf_of(made), file, "application/pdf")
 
 

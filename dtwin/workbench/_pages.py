@@ -21,6 +21,7 @@ from dtwin.report.faults import grouped, in_titles, title_of
 from dtwin.report.pdf import browser
 from dtwin.report.text import VERDICTS, micrometres
 from dtwin.report.twins import condition_words, number, place_words
+from dtwin.twins.diagnosing_code import is_of_other_code
 from dtwin.units import shown_unit
 from dtwin.workbench._access import NEEDED, OTHERWISE
 from dtwin.workbench._bench import Bench, bench_of
@@ -70,6 +71,7 @@ _ENVIRONMENT.filters |= {
 }
 _ENVIRONMENT.globals |= {
     "tolerance_words": tolerance_words,
+    "is_of_other_code": is_of_other_code,
     "version": __version__,
     "verdict_words": VERDICTS,
     "zone": zone,
@@ -97,6 +99,11 @@ def rendered(request: Request, template: str, status: int = 200, **context: Any)
 def drawn(figure: go.Figure) -> Response:
     """Return a figure for the page's script."""
     return Response(figure.to_json(), media_type="application/json")
+
+
+def in_language(stem: str, language: str) -> str:
+    """Return the name of a file without its ending: those in both languages lie beside each other."""
+    return stem if language == "en" else f"{stem}-{language}"
 
 
 def download(content: str | bytes, name: str, kind: str) -> Response:

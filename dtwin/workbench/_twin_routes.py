@@ -36,7 +36,7 @@ from dtwin.twins.verbs import Twins
 from dtwin.workbench import _reading as reading
 from dtwin.workbench._bench import Here, bench_of, possible_effects
 from dtwin.workbench._models import mlflow_page
-from dtwin.workbench._pages import download, drawn, rendered
+from dtwin.workbench._pages import download, drawn, in_language, rendered
 from dtwin.workbench._plan_routes import experiment_documents, grids_of, plans_zip
 from dtwin.workbench._told_pages import compared_with, heat_page, told_page
 
@@ -172,7 +172,7 @@ def report(bench: Here, name: str, ending: Literal["html", "pdf"], language: str
         )
         compared = comparison.as_dict()
     made = twin_report(bench.home, bench.twins_with(name), bench.library, twin, comparison, compared, language)
-    file = f"{twin.machine}-{name}-v{twin.version}.{ending}"
+    file = f"{in_language(f'{twin.machine}-{name}-v{twin.version}', language)}.{ending}"
     return download(made, file, "text/html") if ending == "html" else download(pdf_of(made), file, "application/pdf")
 
 

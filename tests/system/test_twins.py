@@ -246,7 +246,7 @@ def test_a_diagnosis_is_read_again_until_something_changes(
     leave_out(Lake(twins.home.lake), "mill-march", [run], "a cable touched the bar")
     twins.diagnose("kept", seed=1)
     assert asked == [1, 1, 1]
-    monkeypatch.setattr("dtwin.twins._kept_diagnosis._code", lambda: b"another version")
+    monkeypatch.setattr("dtwin.twins._kept_diagnosis.diagnosing_code", lambda: "another version")
     twins.diagnose("kept", seed=1)
     assert asked == [1, 1, 1, 1]
     monkeypatch.setattr("dtwin.twins.verbs._PATIENCE_S", 0.1)

@@ -5,14 +5,25 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
+import pytest
+from starlette.testclient import TestClient
+from test_store import CAMPAIGN, make_run
+
+from dtwin.config import Home
 from dtwin.documents import finite, write_document
+from dtwin.lake.store import Lake
 from dtwin.physics._law_search import ScalingLaw
 from dtwin.physics._laws import LawTest
 from dtwin.physics._screen import Channel
 from dtwin.physics.diagnosis import Diagnosis, Spread, Suspect, Unresolved
 from dtwin.physics.fit import Estimate
+from dtwin.twins import diagnosing_code as diagnosing_code_module
 from dtwin.twins._kept_diagnosis import MADE_FROM, kept_diagnosis
 from dtwin.twins.registration import diagnosis_path
+from dtwin.twins.verbs import Twins
+from dtwin.workbench._access import Access
+from dtwin.workbench._bench import Bench
+from dtwin.workbench.server import application
 
 
 def whole() -> Diagnosis:
@@ -76,3 +87,17 @@ def test_all_that_a_diagnosis_says_is_read_again(tmp_path: Path) -> None:
     assert kept_diagnosis(version, "b2") is None
     assert kept_diagnosis(version, "") is None
     assert kept_diagnosis(tmp_path / "v002.json", "a1") is None
+
+
+def test_a_page_says_that_another_version_found_what_it_shows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It stood there as if today's rules had found it, until it was asked again."""
+    monkeypatch.setenv("DTWIN_MLFLOW", "later")
+    lake = Lake(Home(tmp_path).lake)
+    lake.commit(CAMPAIGN, [make_run(f"r{k}", k) for k in range(2)])
+    twins = Twins(Home(tmp_path))
+    twins.fit(CAMPAIGN.name, [], "t")
+    client = TestClient(application(Bench(Home(tmp_path), Access("127.0.0.1", 8765))), base_url="http://127.0.0.1:8765")
+    twins.diagnose("t")
+    assert "another version of dtwin" not in client.get("/twins/t/diagnose").text
+    monkeypatch.setattr(diagnosing_code_module, "diagnosing_code", lambda: "of today")
+    assert "found by another version of dtwin" in client.get("/twins/t/diagnose").text

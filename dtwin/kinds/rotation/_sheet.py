@@ -182,7 +182,7 @@ def _require(run: Run) -> None:
 
 def _over_angle(run: Run, floor_um: Callable[[], float]) -> go.Figure:
     _require(run)
-    if is_over_speed(run) or run.meta.condition.get("form") == AT_REST:
+    if not _has_angles(run):
         return rotation_figure([run])
     turns = turns_of(run)
     if turns is None:
@@ -201,7 +201,12 @@ def _over_angle(run: Run, floor_um: Callable[[], float]) -> go.Figure:
     )
 
 
+def _has_angles(run: Run) -> bool:
+    """Tell whether a run is read over the angle, of which its test sheet has another picture."""
+    return not is_over_speed(run) and run.meta.condition.get("form") != AT_REST
+
+
 DRAWINGS = (
     Drawing("polar", "Synchronous and asynchronous error motion", 560, _drawn, half=True, in_sheet=True),
-    Drawing("angle", "Reading over the angle", 460, _over_angle, half=True),
+    Drawing("angle", "Reading over the angle", 460, _over_angle, half=True, fits=_has_angles),
 )

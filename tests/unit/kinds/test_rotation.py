@@ -900,3 +900,10 @@ def test_the_page_of_a_run_draws_its_turns_once(tmp_path: Path) -> None:
         "sheet/0",
         "runs/r/angle",
     ]
+    # Of a table of speeds there is one picture.
+    columns = {"t_s": [0.0, 1.0], "speed_rpm": [1e3, 2e3], "runout_um": [1.0, 2.0]}
+    over_speed = Run(RunMeta("s", kind="rotation"), {name: np.array(values) for name, values in columns.items()})
+    Lake(home.lake).commit(Campaign("d", "m", "rotation"), [over_speed])
+    said = browser.get("/campaigns/d/runs/s").text
+    assert said.count('data-figure="/api/campaigns/d/') == 1
+    assert "no picture" not in said

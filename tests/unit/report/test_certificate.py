@@ -369,7 +369,7 @@ def test_the_workbench_gives_the_pdf(home: Home, monkeypatch: pytest.MonkeyPatch
     asked = _workbench(home)
     assert "/campaigns/t01/certificate.pdf?language=de" in asked.get("/campaigns/t01").text
     printed = asked.get("/campaigns/t01/certificate.pdf?language=de")
-    assert printed.headers["content-disposition"] == 'attachment; filename="t01.pdf"'
+    assert printed.headers["content-disposition"] == 'attachment; filename="t01-de.pdf"'
     assert "Prüfprotokoll: mill-7" in printed.text
 
 
