@@ -19,6 +19,31 @@ _CERTIFICATE, _TWINS = (
     for name in ("german.toml", "german_twins.toml")
 )
 
+_PAGES = {
+    "Ball bar, circular test": (
+        "ingest-your-own",
+        "Kreisformtest, Kreisformmessung, Kugelstab, DBB, Kreisformprüfgerät",
+    ),
+    "Laser, positioning test": (
+        "positioning-table",
+        "Laserinterferometer, Positioniergenauigkeit, Positionsunsicherheit, Positionierunsicherheit, Lagemessung, Linearachse",
+    ),
+    "Rotary axis": ("positioning-table", "Rundachse, Drehachse, Rotationsachse, Rundtisch, Schwenkachse"),
+    "Spindle, run-out": ("rotation", "Spindel, Rundlauf, Planlauf, Unwucht"),
+    "Robot, poses": ("robot-poses", "Roboter, Cobot, Posegenauigkeit, Lasertracker, Kinematik, Kalibrierung"),
+    "Drift, heat": ("drift", "Temperaturgang, Wärmegang, thermische Drift, Verlagerung"),
+    "Machine tool, its history": (
+        "test-sheet",
+        "Werkzeugmaschine, Fräsmaschine, Abnahme, Prüfmittelüberwachung, Verlauf",
+    ),
+    "Control, compensation": (
+        "controls",
+        "Steuerung, Kompensation, Losekompensation, Spindelsteigungsfehlerkompensation, Durchhangkompensation, Quadrantenfehlerkompensation",
+    ),
+    "What else you know": ("coming-from", "Umstieg, Begriffe, Renishaw, Kreisformtest der Steuerung"),
+}
+"""What is measured and corrected: page, and German words for it."""
+
 _log = logging.getLogger("mkdocs.hooks.german")
 
 
@@ -38,15 +63,18 @@ def _page() -> str:
     for name in sorted(set(_TWINS["also"]) - set(library)):
         _log.warning("german_twins.toml has other words for what is no effect: %s", name)
     effects = [f"| [{library[n].title}](../effects/{n}.md) | {german_of(library[n])} |" for n in sorted(library)]
-    words = [f"| {english} | {german} |" for english, german in _CERTIFICATE["phrases"].items()]
+    phrases = [f"| {english} | {german} |" for english, german in _CERTIFICATE["phrases"].items()]
     head = "| English | Deutsch |\n| --- | --- |\n"
     return (
         "# German words\n\nWhat reports and certificates call things in German (`--language de`), from the files that "
         "translate them.\n\n## Effects\n\n"
         + head
         + "\n".join(effects)
+        + "\n\n## Machines and tests\n\n"
+        + head
+        + "\n".join(f"| [{what}](../how-to/{page}.md) | {words} |" for what, (page, words) in _PAGES.items())
         + "\n\n## Test sheets\n\nFigures and words of [test sheets](../how-to/test-sheet.md) and certificates.\n\n"
         + head
-        + "\n".join(words)
+        + "\n".join(phrases)
         + "\n"
     )
