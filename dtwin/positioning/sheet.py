@@ -174,8 +174,8 @@ def positioning_figure(runs: Sequence[Run], scale: Scale = LENGTHS) -> go.Figure
 def _made_again(test: LinearTest, *, one_way: bool = False) -> tuple[Floats, Floats, float]:
     """Return readings of tests like this one, forward and reverse, (tests, targets, runs) each, and the degrees of freedom.
 
-    A run differs from the others by a shift and a stretch of all its readings, as by warming, and by the scatter of each
-    reading. A shift that all targets of a run share makes R no less certain than that of one target, and moves no range of
+    A run differs from the others by a shift and a stretch of all its readings, as by warming, by what moves between there
+    and back, and by the scatter of each reading. A shift that all targets of a run share makes R no less certain than that of one target, and moves no range of
     means: drawn target by target it would count for the one too little and for the other too much.
 
     ``one_way``: whether both directions are the same readings.
@@ -218,11 +218,16 @@ def _calm(mean: Floats, chance: float) -> Floats:
 
 
 def _along(position_mm: Floats, ways: int) -> Floats:
-    """Return what a shift and a stretch of a run do to its readings, (readings, 2); fewer columns of few readings."""
+    """Return what a shift and a stretch of a run, and what moves between there and back, do to its readings.
+
+    (readings, 3); fewer columns of few readings, or of one direction.
+    """
     half = max(float(np.ptp(position_mm)) / 2.0, 1e-9)
     stretch = (position_mm - position_mm.mean()) / half
     columns = np.stack([np.ones(len(position_mm)), stretch], axis=1)[:, : max(len(position_mm) * ways - 1, 0)]
-    return np.tile(columns[:, : 1 if len(position_mm) < 3 else 2], (ways, 1))
+    both = np.tile(columns[:, : 1 if len(position_mm) < 3 else 2], (ways, 1))
+    back = np.repeat([[-0.5], [0.5]], len(position_mm), axis=0) if ways > 1 and len(position_mm) > 2 else both[:, :0]
+    return np.concatenate([both, back], axis=1)
 
 
 def _wholes(moved: Floats, along: Floats) -> tuple[Floats, Floats]:

@@ -140,18 +140,24 @@ PERFECT = Circumstances(
 )
 
 
-@pytest.mark.parametrize("shift_um", [0.0, 1.0])
-def test_the_uncertainty_is_as_wide_as_tests_scatter_also_where_runs_move_as_wholes(shift_um: float) -> None:
-    """Drawn target by target U of R was twice too wide, of E twice too wide where runs shift, and of R then too narrow."""
+@pytest.mark.parametrize(("shift_um", "back_um"), [(0.0, 0.0), (1.0, 0.0), (1.0, 1.0)])
+def test_the_uncertainty_is_as_wide_as_tests_scatter_also_where_runs_move_as_wholes(
+    shift_um: float, back_um: float
+) -> None:
+    """Drawn target by target U of R was twice too wide, of E twice too wide where runs shift, and of R then too narrow.
+
+    Where a run moves between there and back U of B̄ was that of many targets, not of few runs.
+    """
     rng = np.random.default_rng(9)
     told: dict[str, list[tuple[float, float]]] = {}
     for _ in range(150):
         runs = sweeps(10, np.arange(0.0, 501.0, 50.0), noise_um=0.0)
         for run in runs:
             run.samples["error_um"][:] += rng.normal(0.0, 0.5, run.n_samples) + rng.normal(0.0, shift_um)
+            run.samples["error_um"][run.samples["direction"] == "reverse"] += rng.normal(0.0, back_um)
         for c in judged(kind_named("linear").sheet(runs, PERFECT), {}).parts[0].characteristics:
             told.setdefault(c.symbol, []).append((c.value_um, c.expanded_um))
-    for symbol in ("A", "R", "E", "M"):
+    for symbol in ("A", "R", "E", "M", "B̄"):
         value, half = np.array(told[symbol]).T
         assert np.mean(np.abs(value - value.mean()) <= half) >= 0.9, symbol
         assert half.mean() < 1.45 * 2.0 * value.std(), symbol
