@@ -151,7 +151,9 @@ def fit(obs: Observations, terms: Sequence[Term], *, robust: bool = False, refin
     before = localise.residual_um(obs, [])
     return Fit(
         terms=tuple(terms),
-        estimates=estimates(terms, solution.x[n_setup:], uncertain[n_setup:], hidden[n_setup:]),
+        estimates=estimates(
+            terms, solution.x[n_setup:], uncertain[n_setup:], hidden[n_setup:], on_circles=obs.grid.in_plane
+        ),
         setups=setups(obs, solution.x[:n_setup], uncertain[:n_setup]),
         residual_um=residual,
         rms_before_um=obs.rms(before),
@@ -211,12 +213,12 @@ def run_weights(problem: Problem, columns: Floats, x: Floats) -> Floats:
 
 
 def estimates(
-    terms: Sequence[Term], values: Floats, expanded: Floats, hidden: NDArray[np.bool_]
+    terms: Sequence[Term], values: Floats, expanded: Floats, hidden: NDArray[np.bool_], *, on_circles: bool
 ) -> tuple[Estimate, ...]:
-    """Return the parameters of terms; ``hidden``: those that the runs do not determine."""
+    """Return the parameters of terms; ``hidden``: those that the runs do not determine; ``on_circles``: as ``implausible``."""
     out = []
     number = 0
-    doubted = implausible(terms, values)
+    doubted = implausible(terms, values, on_circles=on_circles)
     for term in terms:
         for parameter in term.instance.effect.parameters:
             shown = bool(np.isfinite(expanded[number])) or not np.isfinite(expanded).any()

@@ -14,10 +14,11 @@ from dtwin.units import shown_number
 _AT_LIMIT = 0.01
 
 
-def implausible(terms: Sequence[Term], values: Floats) -> Mapping[str, str]:
+def implausible(terms: Sequence[Term], values: Floats, *, on_circles: bool) -> Mapping[str, str]:
     """Return what is wrong with fitted effects, by label.
 
     ``values``, (parameters,): their parameters, in the order of the terms.
+    ``on_circles``: whether runs go round, each with a clock; that of a table of an axis may be one that was assumed.
     """
     out = {}
     first = 0
@@ -29,7 +30,7 @@ def implausible(terms: Sequence[Term], values: Floats) -> Mapping[str, str]:
         for shape in effect.shapes:
             at, (low, high) = term.shape[shape.name], shape.bounds
             # A limit at which an effect begins is its plain law: a drift that does not settle.
-            below = at < high / (1.0 + _AT_LIMIT) or shape.start >= high
+            below = at < high / (1.0 + _AT_LIMIT) or (on_circles and shape.start >= high)
             if not (low * (1.0 + _AT_LIMIT) <= at and below):
                 said.append(
                     f"its {shape.name} of {shown_number(at)} {shape.unit} lies at a limit of what is possible "

@@ -254,7 +254,7 @@ def as_seen(part: Part, x: Floats, wide: Floats, hidden: NDArray[np.bool_]) -> F
     left = residual_um(obs, part.columns, x)
     return Fit(
         terms=part.terms,
-        estimates=estimates(part.terms, x[n:], wide[n:], hidden[n:]),
+        estimates=estimates(part.terms, x[n:], wide[n:], hidden[n:], on_circles=obs.grid.in_plane),
         setups=setups(obs, x[:n], wide[:n]),
         residual_um=left,
         rms_before_um=obs.rms(localise.residual_um(obs, [])),

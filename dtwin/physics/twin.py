@@ -16,6 +16,7 @@ from dtwin.physics.library import campaign_instances
 from dtwin.physics.observations import Observations
 from dtwin.physics.plausible import implausible
 from dtwin.physics.problem import Term
+from dtwin.physics.state import AXES_OF
 from dtwin.schema import Floats
 from dtwin.units import shown_number
 
@@ -112,9 +113,8 @@ class Twin:
     def doubts(self) -> tuple[str, ...]:
         """Effects whose values or shapes are not plausible, in words."""
         values = np.concatenate([np.empty(0), *(self.values(term) for term in self.terms)])
-        return tuple(
-            f"{label} is not told by these runs: {why}" for label, why in implausible(self.terms, values).items()
-        )
+        doubted = implausible(self.terms, values, on_circles=any(plane in AXES_OF for plane in self.box.planes))
+        return tuple(f"{label} is not told by these runs: {why}" for label, why in doubted.items())
 
     def values(self, term: Term) -> Floats:
         """Return the fitted parameters of an effect, shape (parameters,)."""

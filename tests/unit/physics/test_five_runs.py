@@ -325,5 +325,5 @@ def test_a_hose_that_turns_round_and_tightens_towards_an_end_is_no_wear_and_no_l
     (place,) = found.places
     assert place["effect"] == "learned_end"
     end = Term(Instance(PLACES[place["effect"]], "X"), place["shape"])
-    assert not implausible([end], np.array([-6.0]))
+    assert not implausible([end], np.array([-6.0]), on_circles=False)
     assert "a growth towards an end of -5.9 µm at 640 mm" in found.headline
