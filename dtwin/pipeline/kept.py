@@ -26,7 +26,7 @@ from dtwin.report.checking import campaign_sheet
 from dtwin.report.uncertainty import Variation
 from dtwin.schema import Finding, Run, require_name
 
-_MADE_BY = f"{__version__} with the planes and axes of tests"
+_MADE_BY = f"{__version__} with what moves between there and back"
 """Changes when the same runs give other figures: what was kept before is made anew."""
 
 
