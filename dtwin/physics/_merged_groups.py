@@ -38,6 +38,7 @@ def merged(
                 every.append((graded(kept), test.campaign))
     every.sort(key=lambda found: -(found[0][0].size_um or 0.0))
     every, ruled_out = _of_one_size(known, every, tests, library)
+    every = [(group, where) for group, where in every if not _is_asked_later(group, where, every, library)]
     alone = {key_of_suspect(group[0], library) for group, _ in every if len(group) == 1}
     out: list[Group] = []
     told: set[tuple[str, str]] = set()
@@ -71,6 +72,24 @@ def _of_one_size(
         out.append((graded(kept or group), where))
     names = {s.label for group, _ in out for s in group}
     return out, tuple(label for label, other in differ.items() if other and label not in names)
+
+
+def _is_asked_later(
+    group: tuple[Suspect, ...], where: str, groups: Sequence[Group], library: Mapping[str, Effect]
+) -> bool:
+    """Tell whether one of the other names of a group is what another campaign shows first: what is left beside that is not known.
+
+    Growth that lasers show on each axis is one of the names of what circles show best as a drift. Where that campaign does not
+    tell it from the first name of the group either, both show one cause.
+    """
+    own, _ = key_of_suspect(group[0], library)
+    others = [o for o, there in groups if there != where and own not in {key_of_suspect(s, library)[0] for s in o}]
+    tops = {key_of_suspect(other[0], library) for other in others}
+    for suspect in group[1:]:
+        cause, axis = key_of_suspect(suspect, library)
+        if (cause, axis) in tops or (not axis and any(cause == top for top, _ in tops)):
+            return True
+    return False
 
 
 def _is_another_of(group: tuple[Suspect, ...], groups: list[Group]) -> bool:

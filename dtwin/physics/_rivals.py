@@ -32,6 +32,8 @@ _AS_GOOD = 0.9
 _IMPOSSIBLE = 0.1
 # So much, where laws hold, of what the other explains is no less.
 _NO_LESS = 0.99
+# A thermometer is off by so much of a rise, or stands elsewhere: what follows it then explains no less.
+_OF_LOGGED = 0.97
 # Share of what is left at a target left out that a curve of any shape foretells; waves that targets do not follow give it less.
 _FORETOLD_OF_CURVE = 0.3
 
@@ -105,6 +107,7 @@ def described(
                 for c in group[1:]
                 if c.term.label in absorbed
                 or (_is_like(top, c) and c.score.gain > _NO_LESS * top.score.gain)
+                or _as_good_as_logged(top, c)
                 or _adds_nothing(beside, top, c, everywhere, rough)
             )
         have = {c.term.label for c in group}
@@ -226,7 +229,13 @@ def _as_good(problem: Problem, top: Candidate, other: Candidate) -> bool:
     Of two that are known to look alike at one speed, the one whose law is nearer need not be the cause.
     """
     enough = other.score.gain > _AS_GOOD * top.score.gain
-    return _is_like(top, other) and enough and not problem.obs.several_speeds
+    return (_is_like(top, other) and enough and not problem.obs.several_speeds) or _as_good_as_logged(top, other)
+
+
+def _as_good_as_logged(top: Candidate, other: Candidate) -> bool:
+    """Tell whether a rival explains what an effect does but for what the temperatures that were logged may be off."""
+    more = set(other.term.instance.effect.needs) - set(top.term.instance.effect.needs)
+    return any(name.endswith("_c") for name in more) and other.score.gain > _OF_LOGGED * top.score.gain
 
 
 def _is_like(top: Candidate, other: Candidate) -> bool:

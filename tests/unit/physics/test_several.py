@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from mill_and_laser import circles, laser
+from mill_and_laser import circles, laser, warmed
 
 from dtwin.errors import InputError
 from dtwin.kinds.circular._correction import _other_rows
@@ -389,6 +389,28 @@ def test_what_two_bars_show_is_one_cause_though_they_begin_with_other_names() ->
     (group,) = found.found
     assert {"scale_mismatch XY", "inertial_compliance"} <= {s.label for s in group}
     assert found.ruled_out == ()
+
+
+def test_growth_by_a_thermometer_that_scatters_is_no_drift_beside_what_lasers_show() -> None:
+    """A drift, which follows no thermometer, was the first name of what circles show, and was added to the growth of both axes."""
+    bar = circles(MillParameters().with_axis("X", growth_um_m_k=10.0).with_axis("Y", growth_um_m_k=10.0))
+    off = 0.02 * np.random.default_rng(6).standard_normal(len(bar.columns))
+    logged = [{**c, "temperature_c": c["temperature_c"] + k} for c, k in zip(bar.columns, off, strict=True)]
+    tests = [replace(bar, columns=tuple(logged)), *(warmed(axis, 1, growth_um_m_k=10.0) for axis in "XY")]
+    (shown,) = diagnose(tests[0], [], LIBRARY).found
+    assert shown[0].label == "thermal_drift"
+    assert "thermal_growth" in {s.label for s in shown}
+    found = diagnose_several(twin_of_all(tests), tests, LIBRARY).found
+    assert {group[0].label for group in found} == {"thermal_growth X", "thermal_growth Y"}
+
+
+def test_a_drift_that_temperature_follows_but_for_a_little_is_no_name_by_itself() -> None:
+    """The circles grow with the machine, and their centre creeps a third of a micrometre: a drift alone was named."""
+    bar = circles(MillParameters().with_axis("X", growth_um_m_k=10.0).with_axis("Y", growth_um_m_k=10.0))
+    time_h = np.array([float(np.mean(c["time_h"])) for c in bar.columns])
+    creep = 3.2 * time_h[:, None] * np.cos(np.radians(bar.grid.points))
+    (shown,) = diagnose(bar.with_y(bar.y_um + creep), [], LIBRARY).found
+    assert {"thermal_drift", "thermal_growth"} <= {s.label for s in shown}
 
 
 def test_what_could_stand_in_the_place_of_nothing_is_not_fitted(monkeypatch: pytest.MonkeyPatch) -> None:
