@@ -21,7 +21,7 @@ from dtwin.acquire._readings import usable
 from dtwin.acquire.parquet_file import foreign_table
 from dtwin.acquire.repeated_heads import require_whole_end
 from dtwin.acquire.spreadsheet import ending_as_table, is_spreadsheet, table_bytes
-from dtwin.acquire.table_dialect import encoding_of, is_comment
+from dtwin.acquire.table_dialect import encoding_of, is_comment, marked_heads
 from dtwin.acquire.xmlsafe import require_bounded
 from dtwin.errors import InputError
 from dtwin.kinds.registry import kind_named, kinds
@@ -30,7 +30,7 @@ from dtwin.units import require_units
 
 _MAX_TABLE_BYTES = 512 * 1024**2
 _LONGEST_BEGIN, _LONGEST_END = 2**20, 40_000
-_MOST_COMMENTS = 1000
+_MOST_COMMENTS, _MOST_LOOKED_AT = 1000, 100
 _UNEVEN = re.compile(r"Row #(\d+): Expected (\d+) columns, got (\d+): ?(.*)", re.S)
 """What the reader of CSV says of a row that is longer or shorter than the first."""
 # Text that names a state rather than measuring something.
@@ -170,13 +170,20 @@ def _dialect(path: Path, numbers: Mapping[str, pa.DataType] = MappingProxyType({
     require_whole_end(end.decode(encoding, "replace"), path)
     lines = begin.decode(encoding, "replace").split("\n", _MOST_COMMENTS + 1)
     comments = next((n for n, line in enumerate(lines[:_MOST_COMMENTS]) if not is_comment(line)), _MOST_COMMENTS)
-    head = lines[comments] if comments < len(lines) else ""
+    marked = marked_heads(lines[:_MOST_COMMENTS])
+    head = marked[2] if marked else lines[comments] if comments < len(lines) else ""
     european = ";" in head and "," not in head
+    readings = "".join(lines[(marked[1] if marked else comments + 1) : -1][:_MOST_LOOKED_AT])
+    comma = european and ("," in readings or "." not in readings)
+    read_options = pa_csv.ReadOptions(skip_rows=comments, encoding=encoding.removesuffix("-sig"))
+    if marked:
+        read_options.skip_rows = marked[1]
+        read_options.column_names = [name.strip() for name in head.split(";" if european else ",")]
     return {
-        "read_options": pa_csv.ReadOptions(skip_rows=comments, encoding=encoding.removesuffix("-sig")),
+        "read_options": read_options,
         "parse_options": pa_csv.ParseOptions(delimiter=";" if european else ","),
         "convert_options": pa_csv.ConvertOptions(
-            decimal_point="," if european else ".", column_types={**_CODED, **numbers}
+            decimal_point="," if comma else ".", column_types={**_CODED, **numbers}
         ),
     }
 

@@ -11,7 +11,7 @@ from itertools import takewhile, zip_longest
 STATISTICS = r"avg|average|mean|std|stdev|sigma|range|mittel\w*|spannweite|streuung|moyenne|media|promedio|平均"
 SUMMARY = re.compile(rf"({STATISTICS}|min|max)\b", re.I)
 """A cell of a row that sums up the rows above it."""
-_SNIFFED_LINES = 100
+_SNIFFED_LINES, _BELOW_HEADS = 100, 3
 _SNIFFED_BYTES = 65_536
 _LONGEST_CELL = 500
 # How each is read, how it is known, and the first bytes of its usual letters: what Windows writes in the West has few of these in pairs.
@@ -33,6 +33,9 @@ _HUNDREDS = re.compile(r"[+-]?[1-9]\d\d")
 _SEPARATOR = re.compile(r'\A"?sep=."?[;,\t]*\r?\n', re.I)
 _COMMENT = re.compile(r"\s*#(?!([;,])\s*[^;,\s][^;,]*\1)")
 """A line of remarks; where heads follow the mark at once, it is the head of a column that counts."""
+_MARK = re.compile(r"\s*(#+|%+|//+)\s*")
+_OF_READING = re.compile(r"\s*([+\-\u2212]?[.,]?\d.*|nan|[+-]?inf)?\s*", re.I)
+"""A cell of a row of readings: a number, a stamp, or nothing."""
 _BOMS = ((codecs.BOM_UTF8, "utf-8-sig"), (codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16"))
 
 
@@ -65,14 +68,44 @@ def _is_of(data: bytes, strict: str, leads: range) -> bool:
 
 
 def decoded(data: bytes) -> str:
-    """Return a text of any of the encodings; a letter that is none becomes a question mark. A spreadsheet's line ``sep=;`` and the end mark of DOS are left away."""
+    """Return a text of any of the encodings; a letter that is none becomes a question mark. A spreadsheet's line ``sep=;``, the end mark of DOS and
+    the mark before heads are left away.
+    """
     text = data.decode(encoding_of(data), errors="replace").rstrip("\x1a")
-    return _SEPARATOR.sub("", text, count=1)
+    text = _SEPARATOR.sub("", text, count=1)
+    lines = text[:_SNIFFED_BYTES].splitlines(keepends=True)
+    if (found := marked_heads(lines)) is None:
+        return text
+    at, heads = found[0], found[2]
+    above = "".join(lines[:at])
+    return f"{above}{heads}\n{text[len(above) + len(lines[at]) :]}"
 
 
 def is_comment(line: str) -> bool:
     """Return whether a line is a remark and no row."""
     return _COMMENT.match(line) is not None
+
+
+def marked_heads(lines: Sequence[str]) -> tuple[int, int, str] | None:
+    """Return the line of heads that stand behind the mark of a remark, that of the first row below, and the heads; None where no such heads are.
+
+    numpy and Klipper write ``# t_s,angle_deg,deviation_um`` so, and nothing but numbers below.
+    """
+    first = next((n for n, line in enumerate(lines) if line.strip() and not _is_marked(line)), 0)
+    at = next((n for n in range(first - 1, -1, -1) if lines[n].strip()), None)
+    if at is None:
+        return None
+    heads = _MARK.sub("", lines[at], count=1).strip()
+    below = [line.strip() for line in lines[first : first + _BELOW_HEADS] if line.strip()]
+    mark = next((mark for mark in (";", "\t", ",") if mark in below[0]), "")
+    parted = [line.split(mark) for line in (heads, *below)] if mark else _aligned_rows([heads, *below], ",")
+    alike = len({len(row) for row in parted}) == 1 and len(parted) > 1
+    named = alike and not any(map(_OF_READING.fullmatch, parted[0]))
+    return (at, first, heads) if named and all(map(_OF_READING.fullmatch, parted[1])) else None
+
+
+def _is_marked(line: str) -> bool:
+    return is_comment(line) or line.lstrip().startswith(("%", "//"))
 
 
 def remarks_of(text: str) -> list[list[str]]:

@@ -130,6 +130,23 @@ def test_a_table_is_read_in_the_encodings_of_windows(tmp_path: Path, encoding: s
     assert kind_of_table(path) == "circular"
 
 
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-16"])
+@pytest.mark.parametrize(
+    ("name", "above", "between"), [("a.csv", "# ", ","), ("a.csv", "# mill 7\n#", ";"), ("a.txt", "% ", "  ")]
+)
+def test_heads_behind_the_mark_of_a_remark_are_read_as_numpy_writes_them(
+    tmp_path: Path, name: str, above: str, between: str, encoding: str
+) -> None:
+    path = tmp_path / name
+    rows = [between.join(map(str, row)) for row in ((0.25 * n, float(n), 0.5) for n in range(361))]
+    heads = between.join(["time_s" if name == "a.txt" else "t_s", "angle_deg", "deviation_um"])
+    path.write_text("\n".join([above + heads, *rows]), encoding=encoding)
+    told = {"plane": "XY", "radius_mm": 100.0, "feed_mm_min": 1000.0}
+    (run,) = next(iter(open_source(path, told)[1]))[0]
+    assert run.samples["angle_deg"] == pytest.approx(range(361))
+    assert set(run.samples) == {"t_s", "angle_deg", "deviation_um"}
+
+
 def test_a_row_that_is_not_as_long_as_the_first_is_named_without_the_words_of_the_reader(tmp_path: Path) -> None:
     path = tmp_path / "a.csv"
     path.write_text("foo;bar\nmessung 1\n1;2\n")
