@@ -45,7 +45,7 @@ from dtwin.kinds.poses._axis_rows import (
     places_of,
 )
 from dtwin.kinds.poses._orientation import house_name, with_orientation
-from dtwin.kinds.poses._repeats import no_commanded, repeated_places, with_joints
+from dtwin.kinds.poses._repeats import no_commanded, repeated_places, with_joints, with_tracker_heads
 from dtwin.schema import Campaign, Finding, Floats, Run, RunMeta
 from dtwin.units import LENGTHS_MM
 
@@ -152,11 +152,14 @@ def is_pose_table(path: Path) -> bool:
     """Return whether a table has joints or commanded places, and measured places or errors, under the house's names, or is one of cameras or
     of ROS; its conditions are told elsewhere.
     """
-    if path.suffix.lower() not in (".csv", *SPREADSHEETS) or not path.is_file():
+    if path.suffix.lower() not in (".csv", ".txt", *SPREADSHEETS) or not path.is_file():
         return False
-    rows = first_rows(path, _MOST_BYTES)
-    if is_by_axes(rows):
+    told = first_rows(path, _MOST_BYTES)
+    rows = with_tracker_heads(told)
+    if rows is not told or is_by_axes(rows):
         return True
+    if path.suffix.lower() == ".txt":
+        return bool(repeated_places(rows))
     heads = _headed(rows, {}, path)[0]
     if joined(rows) is not None or of_ros(heads) or of_tracker(heads) or repeated_places(rows):
         return True
@@ -178,7 +181,7 @@ def _columns(path: Path, campaign: Campaign, *, with_log: bool = False) -> tuple
     recipe = campaign.instrument.get("columns", {})
     text = decoded(table_bytes(path, _MOST_BYTES))
     require_one_block(text, path)
-    rows = axes_beside(rows_of(text), path)
+    rows = axes_beside(with_tracker_heads(rows_of(text)), path)
     if not recipe and (places := repeated_places(rows)):
         raise no_commanded(path, places)
     named, heads, units, below, unit = _headed(rows, recipe, path, with_log)
@@ -281,7 +284,7 @@ def _headed(
         for head, below in zip_longest(heads, told[: len(heads)], fillvalue="")
     ]
     known_already = {name.partition("_")[0] for name in named}
-    if "joint" not in known_already:
+    if "joint" not in known_already or "joint_1" in named:
         for n, name in joints_of(heads, told).items():
             named[n] = name
     with_log = with_log or any(name.startswith("joint_") for name in named)
@@ -300,7 +303,7 @@ def _require(columns: Mapping[str, Floats], path: Path, heads: list[str], unit: 
         return
     known = lines_for(heads, unit)
     commanded = "joints, joint_1_deg …, or commanded places, target_x_mm …"
-    if (measured <= there or of_tracker(heads)) and not joints:
+    if (measured <= there or places_of(heads, ())) and not joints:
         hint = f"only measured places are told: add {commanded}; joints may be in a file of their own, condition = {{ joints_log = … }} of the run in campaign.toml"
     elif joints and {head[:1].lower() for head in heads} >= {"x", "y", "z"}:
         hint = "heads of measured places tell their unit: X [mm], Y [mm], Z [mm]"

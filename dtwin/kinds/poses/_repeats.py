@@ -21,7 +21,7 @@ from dtwin.units import UM_PER_MM, shown_number
 
 _MOST_TITLES = 12
 COUNTS = re.compile(
-    r"(repeat|repetition|cycle|run|trial|approach|wiederholung|zyklus|messung|anfahrt|lauf)([\s_.]*(no|nr|number|nummer|#))?\.?",
+    r"(repeat|repetition|cycle|run|trial|approach|reading|wiederholung|zyklus|messung|anfahrt|lauf)([\s_.]*(no|nr|number|nummer|#))?\.?",
     re.I,
 )
 PLACES = re.compile(
@@ -30,13 +30,37 @@ PLACES = re.compile(
 _AXIS = re.compile(r"(?:measured_|meas_|actual_|ist_|position_|pos_)?([xyz])_(mm|um)")
 _FEWEST = 3
 _SHOWN = 4
+# Of a path successive places lie nearer to each other than to its middle, which repeats do not.
+_PATH_STEP = 0.2
+_TRACKED = re.compile(r"//\s*AXES = CARTESIAN: X,\s*Y,\s*Z \((\w+)\)")
+_WHOLE = re.compile(r"[+-]?\d+")
+
+
+def with_tracker_heads(rows: Sequence[Sequence[str]]) -> Sequence[Sequence[str]]:
+    """Return points that SpatialAnalyzer exported with heads above, by its remark ``// AXES = CARTESIAN: X, Y, Z (mm)``; another table as it is."""
+    told = ((n, _TRACKED.match(",".join(row))) for n, row in enumerate(rows[:_MOST_TITLES]))
+    begin, said = next(((n, found) for n, found in told if found), (0, None))
+    if said is None or len(rows) < begin + 2:
+        return rows
+    cells = [cell.strip() for cell in rows[begin + 1]]
+    last = max((n for n, cell in enumerate(cells) if number_or_none(cell) is not None), default=0)
+    if last < 2:
+        return rows
+    heads = [""] * (last - 2) + [f"{axis} [{said[1]}]" for axis in "XYZ"] + [""] * (len(cells) - last - 1)
+    # Group, point and number of the reading: a point may be called by a number, too.
+    counted = last > 4 and _WHOLE.fullmatch(cells[last - 3]) is not None
+    if last > 2:
+        heads[last - 3 - counted] = "point"
+    if counted:
+        heads[last - 3] = "reading"
+    return [heads, *rows[begin + 1 :]]
 
 
 def repeated_places(rows: Sequence[Sequence[str]]) -> Mapping[str, Floats]:
-    """Return the readings (n, 3) in mm of each place of a table of repeats and measured X, Y and Z alone; else nothing."""
+    """Return the readings (n, 3) in mm of each place of a table of measured X, Y and Z alone, with the number of the repeat or the place's name; else nothing."""
     for begin, row in enumerate(rows[:_MOST_TITLES]):
         heads = [cell.strip() for cell in row]
-        if not any(map(COUNTS.fullmatch, heads)):
+        if not any(COUNTS.fullmatch(head) or PLACES.fullmatch(head) for head in heads):
             continue
         units, body = below_heads([list(line) for line in rows], begin)
         found = [_AXIS.fullmatch(column.name) for column in columns_of(heads, units, {})]
@@ -54,8 +78,15 @@ def repeated_places(rows: Sequence[Sequence[str]]) -> Mapping[str, Floats]:
             name = line[place].strip() if place is not None and place < len(line) else ""
             if None not in values:
                 told.setdefault(name, []).append([v * s * f for v, s, f in zip(values, scale, factors, strict=True)])  # type: ignore[operator]
-        return {name: np.array(points) for name, points in told.items() if len(points) >= _FEWEST}
+        read = {name: np.array(points) for name, points in told.items() if len(points) >= _FEWEST}
+        return {name: points for name, points in read.items() if not _is_path(points)}
     return {}
+
+
+def _is_path(points: Floats) -> bool:
+    """Return whether places (n, 3) follow a path, as of a tracker that recorded a motion."""
+    step = np.linalg.norm(np.diff(points, axis=0), axis=1).mean()
+    return bool(step < _PATH_STEP * np.linalg.norm(points - points.mean(axis=0), axis=1).mean())
 
 
 def no_commanded(path: Path, places: Mapping[str, Floats]) -> InputError:
@@ -72,7 +103,7 @@ def no_commanded(path: Path, places: Mapping[str, Floats]) -> InputError:
         where=str(path),
         got="; ".join(worst),
         allowed="commanded places beside: Target X [mm], Target Y [mm], Target Z [mm]",
-        hint="the repeatability of ISO 9283 is what is got, the largest first; the standard asks for thirty readings",
+        hint="the repeatability of ISO 9283 is what is got, the largest first; the standard asks for thirty readings, each after a motion",
     )
 
 

@@ -408,6 +408,7 @@ def beside(folder: Path, joints: str, places: str, *, unit: float = 1.0, lost: i
     ("joints", "unit"),
     [
         ("j1 j2 j3 j4 j5 j6", DEGREE),
+        (" ".join(f"joint_{n}" for n in range(1, 7)), DEGREE),
         ("A1[deg] A2[deg] A3[deg] A4[deg] A5[deg] A6[deg]", DEGREE),
         ("theta_1_rad theta_2_rad theta_3_rad theta_4_rad theta_5_rad theta_6_rad", 1.0),
     ],
@@ -1011,6 +1012,33 @@ def test_measured_places_alone_are_refused_with_how_they_repeat(tmp_path: Path, 
     assert refused.value.got == f"RP {p2:.3g} mm of 10 readings of P2; RP {p1:.3g} mm of 10 readings of P1"
     path.write_text("\n".join([f"t_s,{heads}", *(f"0,{row}" for row in rows)]), encoding="utf-8")
     assert not is_pose_table(path)
+    # A name that comes again says it, too.
+    named = [f"{p},{','.join(row)}" for p, _, *row in (line.split(",") for line in rows)]
+    path.write_text("\n".join([re.sub(",(repeat|Messung),", ",", heads), *named]), encoding="utf-8")
+    with pytest.raises(InputError) as again:
+        _read_poses(path, Campaign("a", "m", "poses"), {})
+    assert again.value.got == refused.value.got
+
+
+@pytest.mark.parametrize("path_of_a_motion", [False, True])
+def test_points_of_a_laser_tracker_program_tell_how_they_repeat_and_a_path_does_not(
+    tmp_path: Path, path_of_a_motion: bool
+) -> None:
+    path = tmp_path / "a.txt"
+    x = np.random.default_rng(4).normal(0.0, 0.01, (40, 3)) + 2.0 * path_of_a_motion * np.arange(40)[:, None]
+    heads = [
+        "// SpatialAnalyzer SA 2024.2 ( x64 )",
+        "// Points Relative to 'A::WORLD'",
+        "// AXES = CARTESIAN: X,  Y,  Z (mm)",
+    ]
+    rows = [f"Pose1,  Main,  {n},  {p[0]:.6f},  {p[1]:.6f},  {p[2]:.6f},  02/12/25 16:38:29" for n, p in enumerate(x)]
+    path.write_text("\n".join(heads + rows), encoding="utf-8")
+    with pytest.raises(InputError) as refused:
+        next(iter(open_source(path)[1]))
+    off = np.linalg.norm(x - x.mean(axis=0), axis=1)
+    rp = f"RP {off.mean() + 3.0 * off.std(ddof=1):.3g} mm of 40 readings of Main"
+    assert refused.value.got == (", point, reading, X [mm], Y [mm], Z [mm], " if path_of_a_motion else rp)
+    assert path_of_a_motion == ("only measured places are told" in (refused.value.hint or ""))
 
 
 def test_commanded_places_beside_an_approach_are_poses_and_no_positions_of_one_axis(tmp_path: Path) -> None:
