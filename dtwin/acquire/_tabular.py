@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from dtwin.acquire._readings import usable
 from dtwin.acquire.parquet_file import foreign_table
-from dtwin.acquire.repeated_heads import require_whole_end
+from dtwin.acquire.repeated_heads import require_heads, require_whole_end
 from dtwin.acquire.spreadsheet import ending_as_table, is_spreadsheet, table_bytes
 from dtwin.acquire.table_dialect import encoding_of, is_comment, marked_heads
 from dtwin.acquire.xmlsafe import require_bounded
@@ -74,10 +74,12 @@ def kind_of_table(path: Path) -> str:
     alone = next((kind.name for kind in kinds() if kind.takes_alone(path)), None)
     if alone is not None:
         return alone
-    names = set(_names(path))
+    heads = _names(path)
+    names = set(heads)
     for kind in kinds():
         if names.issuperset(kind.columns):
             return kind.name
+    require_heads(heads, path, "; ".join(", ".join(kind.columns) for kind in kinds()))
     raise InputError(
         "the columns are those of no kind of test",
         code="columns.missing",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import re
 from collections import Counter
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Sequence
 from itertools import islice, takewhile
 from pathlib import Path
 
@@ -32,6 +32,19 @@ _DECIMALS = re.compile(r"^[-+]?\d+[.,](\d+)$")
 def counts_repeats(numbers: Collection[int], first: int = 1) -> bool:
     """Return whether different numbers of heads, or rows, may count repeats from ``first``: temperatures, years and serial numbers do not."""
     return max(numbers, default=first) - first < 2 * len(numbers) + _LEFT_OUT
+
+
+def require_heads(heads: Sequence[str], path: Path, allowed: str) -> None:
+    """Refuse a table of numbers alone, whose first row stands where heads should; ``allowed``: what they may be."""
+    if heads and all(map(is_number, heads)):
+        raise InputError(
+            "the first line of the table holds numbers, and no heads",
+            code="columns.heads",
+            where=str(path),
+            got=", ".join(heads)[:80],
+            allowed=allowed,
+            hint="write the heads, with their units, above the first line",
+        )
 
 
 def require_one_block(

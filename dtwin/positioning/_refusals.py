@@ -32,7 +32,11 @@ from dtwin.positioning.table_heads import (
     told_unit,
 )
 from dtwin.positioning.ways import FROM_SIGN, Scale
+from dtwin.schema import Floats
+from dtwin.units import shown_number
 
+# An axis that stops at targets, and is read there, takes longer from one to the next.
+_FASTEST_S, _FEWEST_ROWS = 0.2, 20
 # Of the travel: no linear axis errs by so much.
 LITTLE = 0.02
 _TURNED = re.compile(r"\s*[-\u2212\u2013]\s*(error|dev|err\b|abw|fehler)(?!\w*[\s_.]*\d)", re.I)
@@ -46,6 +50,22 @@ _UNIT_NAMED = re.compile(r"\b(inch(es)?|zoll|pouces?|pollici|pulgadas?|imperial)
 _ALIKE, _TIMES = 0.1, (1000.0, 1e-3, 25.4, 1.0 / 25.4, 10.0, 0.1, 100.0, 0.01)
 """Of deviations, by which they may differ from positions minus targets; and of how many times these they may be, in another unit."""
 _DIAMETER = re.compile(r"[Ø\u2300\u2205]|\bdia\b|diam|di[aá]metro|durchm|直径|直徑", re.I)
+
+
+def require_stops(t_s: Floats | None, path: Path) -> None:
+    """Refuse commanded and measured positions that were recorded in motion, by the times (n,) of their rows: each would be a target of its own."""
+    if t_s is None or len(t_s) < _FEWEST_ROWS:
+        return
+    step_s = float(np.nanmedian(np.abs(np.diff(t_s))))
+    if step_s <= _FASTEST_S:
+        raise InputError(
+            "the rows follow each other faster than an axis stops at targets: a motion was recorded, and nothing was positioned",
+            code="position_table.recorded",
+            where=str(path),
+            got=f"{len(t_s)} rows, one each {shown_number(step_s)} s",
+            allowed="a row for each target at which the axis stood; of readings on the fly a column direction",
+            hint="circles that a control recorded: docs/how-to/coming-from.md; tones of a slide, commanded and measured: docs/reference/campaign-folder.md",
+        )
 
 
 def require_positioning(rows: Sequence[Sequence[str]], path: Path) -> None:

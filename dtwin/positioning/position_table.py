@@ -48,6 +48,7 @@ from dtwin.positioning._refusals import (
     require_one_axis,
     require_positioning,
     require_sign,
+    require_stops,
     require_unit_of,
     require_unit_of_heads,
 )
@@ -299,7 +300,10 @@ def _from_wide(rows: Sequence[Sequence[str]], wide: Wide, path: Path, scale: Sca
 
 def _from_long(rows: Sequence[Sequence[str]], long: Long, path: Path, scale: Scale) -> list[Reading]:
     heads, units, body = _parted(rows, long.target, path)
-    if newest_first(clock_of(heads, units, body, str(path))):
+    clock = clock_of(heads, units, body, str(path))
+    if long.way is None:
+        require_stops(clock, path)
+    if newest_first(clock):
         body = body[::-1]
     long = replace(long, cycle=_not_counting(long.cycle, long.target, body))
     below = [units[i] if units is not None and i < len(units) else "" for i in (long.target, long.value)]

@@ -25,12 +25,11 @@ from dtwin.acquire.foreign_columns import (
     require_usual_sign,
     unit_of_titles,
 )
-from dtwin.acquire.repeated_heads import require_one_block
+from dtwin.acquire.repeated_heads import require_heads, require_one_block
 from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
 from dtwin.acquire.spreadsheet import first_rows, table_bytes
 from dtwin.acquire.table_dialect import SUMMARY, decoded, remarks_of, rows_of, typed
 from dtwin.acquire.time_stamps import clock_of, numbers_of, of_stamps
-from dtwin.acquire.xmlsafe import number_or_none
 from dtwin.errors import InputError
 from dtwin.kinds.poses._axis_rows import (
     NO_UNIT,
@@ -186,15 +185,11 @@ def _columns(path: Path, campaign: Campaign, *, with_log: bool = False) -> tuple
         raise no_commanded(path, places)
     named, heads, units, below, unit = _headed(rows, recipe, path, with_log)
     first = heads if len(heads) > 1 else " ".join(heads).split()
-    if first and all(number_or_none(cell) is not None for cell in first):
-        raise InputError(
-            "the first line of the table holds numbers, and no heads",
-            code="columns.heads",
-            where=str(path),
-            got=", ".join(first)[:80],
-            allowed="joint_1_deg, joint_2_deg …, or measured_x_mm, measured_y_mm, measured_z_mm, in the order of the columns",
-            hint="write the heads, with their units, above the first line",
-        )
+    require_heads(
+        first,
+        path,
+        "joint_1_deg, joint_2_deg …, or measured_x_mm, measured_y_mm, measured_z_mm, in the order of the columns",
+    )
     if not any(name.startswith("measured_") for name in named):
         require_usual_sign([*remarks_of(text), *rows[:_MOST_TITLES]], path)
     without = [h for h, name in zip(heads, named, strict=True) if name.startswith("error_") and name.endswith(NO_UNIT)]

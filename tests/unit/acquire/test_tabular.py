@@ -147,6 +147,14 @@ def test_heads_behind_the_mark_of_a_remark_are_read_as_numpy_writes_them(
     assert set(run.samples) == {"t_s", "angle_deg", "deviation_um"}
 
 
+def test_a_table_of_numbers_alone_is_asked_for_heads(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text("# made here\n1,  2296.497861,  -442.566334\n2,  2331.149279,  -547.654703\n", encoding="utf-8")
+    with pytest.raises(InputError) as refused:
+        kind_of_table(path)
+    assert (refused.value.code, refused.value.got) == ("columns.heads", "1,   2296.497861,   -442.566334")
+
+
 def test_a_row_that_is_not_as_long_as_the_first_is_named_without_the_words_of_the_reader(tmp_path: Path) -> None:
     path = tmp_path / "a.csv"
     path.write_text("foo;bar\nmessung 1\n1;2\n")

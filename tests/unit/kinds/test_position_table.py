@@ -613,6 +613,20 @@ def test_directions_that_are_not_named_are_told_by_the_order_of_targets(
     assert all("linear.direction_assumed" in [f.code for f in run.findings] for run in runs)
 
 
+@pytest.mark.parametrize("step_s", [0.02, 20.0])
+def test_a_motion_that_a_control_recorded_is_no_positioning_test(tmp_path: Path, step_s: float) -> None:
+    path = tmp_path / "a.csv"
+    rows = [
+        f"{step_s * n:.2f},{z:.3f},{z - 0.01:.3f}" for n, z in enumerate(map(float, [*range(15), *range(14, -1, -1)]))
+    ]
+    path.write_text("\n".join(["time [s],target [mm],actual [mm]", *rows]), encoding="utf-8")
+    if step_s > 1.0:
+        assert len(read_position_runs(path, Campaign(name="c", machine="m", kind="linear"), {})[0]) == 1
+        return
+    refused = refusal(path)
+    assert (refused.code, refused.got) == ("position_table.recorded", "30 rows, one each 0.02 s")
+
+
 @pytest.mark.parametrize("head", ["Messung 1 [mm]", "1 [mm]"])
 def test_columns_of_cycles_without_a_direction_are_asked_for_it(tmp_path: Path, head: str) -> None:
     path = tmp_path / "a.csv"
