@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dtwin.acquire.foreign_columns import (
     CLOCK,
@@ -32,9 +31,10 @@ from dtwin.acquire.repeated_heads import require_one_block
 from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
 from dtwin.acquire.spreadsheet import first_rows, table_bytes
 from dtwin.acquire.table_dialect import decoded, remarks_of, rows_of
-from dtwin.acquire.time_stamps import FORM, FORMS, newest_first, numbers_of, of_stamps, times_of_cells
+from dtwin.acquire.time_stamps import FORM, newest_first, numbers_of, of_stamps
 from dtwin.acquire.xmlsafe import number_or_none
 from dtwin.errors import InputError
+from dtwin.kinds.drift._clock import at_readings, require_rising, seconds_of, when
 from dtwin.kinds.drift._series import sense
 from dtwin.kinds.drift._standing import COLDEST_C, HOTTEST_C, lost_readings, nothing_read, possible, standing, stepped
 from dtwin.positioning.table_heads import ANGLE
@@ -48,8 +48,6 @@ _MOVED = re.compile(
 )
 _AXIS = re.compile(r"(?:^|_)(?:delta|[d\u03b4])?([xyz])\d?(?=_)", re.I)
 _RAW = re.compile(r"(?<![a-z])(raw|roh\w*|offset|zero)(?![a-z])", re.I)
-_MOST_AT_ONCE = 50
-"""Readings of one sample."""
 _TRAVEL_UM = 10_000.0
 _SPEED, _DRIFT_S = re.compile(r"speed|\brpm\b|drehzahl", re.I), 0.5
 _OF_OTHERS = re.compile(r"(angle|position|error|speed(?!_rpm)|joint|direction|cmd|act)\w*_", re.I)
@@ -126,18 +124,23 @@ def _read_drift(path: Path, campaign: Campaign, stated: Mapping[str, Any]) -> tu
         stamped = [i for i, name in enumerate(heads) if name == clock]
         cells = [" ".join(row[i].strip() for i in stamped) for row in body]
     named = " ".join(head for head, name in zip(said, heads, strict=True) if name == clock)
-    t_s = _seconds(cells, scales[clock], path, named, stamps=clock == _STAMPED)
+    t_s = seconds_of(cells, scales[clock], path, named, stamps=clock == _STAMPED)
     if newest_first(t_s):
         t_s, column = t_s[::-1], {name: values[::-1] for name, values in column.items()}
-    _require_rising(t_s[np.isfinite(t_s)], path)
+    require_rising(t_s[np.isfinite(t_s)], path)
     shared: dict[str, Floats] = {"t_s": t_s}
     shared |= {name: scales[name] * (numbers_of(column[name]) - zero_of[name]) for name in temperatures}
     if _SAMPLE in column:
         shared[_SAMPLE] = numbers_of(column[_SAMPLE])
+    displaced = np.any([np.isfinite(numbers_of(column[name])) for name in moved], axis=0)
+    between, said_of_them = at_readings(t_s, {name: shared[name] for name in temperatures}, displaced)
+    shared |= between
+    of_sensors = ~displaced & bool(said_of_them)
     cold = [
         Finding("drift.left_out", "warning", f"{column.head} is left out: {column.why_not}")
         for column in _unknown(said, units, recipe)
     ]
+    cold += said_of_them
     if tilts := _tilts(said, units):
         told = f"{', '.join(tilts)[:120]}: tilts are left out, figures and twins are of displacements"
         cold.append(Finding("drift.tilts", "warning", told, {"columns_1": float(len(tilts))}))
@@ -150,10 +153,10 @@ def _read_drift(path: Path, campaign: Campaign, stated: Mapping[str, Any]) -> tu
             del shared[name]
             continue
         if (gone := ~np.isfinite(read) & np.isfinite(t_s)).any():
-            said = f"{name} has no reading in {gone.sum()} of {np.isfinite(t_s).sum()} rows, {_when(t_s, gone)}: they are left out"
+            said = f"{name} has no reading in {gone.sum()} of {np.isfinite(t_s).sum()} rows, {when(t_s, gone)}: they are left out"
             cold.append(Finding("drift.missing", "warning", said, {"readings_1": float(gone.sum())}))
         if (lost := lost_readings(read)).any():
-            said = f"{lost.sum()} readings of {name} leave their neighbours and come back, or are of no machine ({read[lost][0]:g} °C), {_when(t_s, lost)}: the sensor dropped out, and the rows are left out"
+            said = f"{lost.sum()} readings of {name} leave their neighbours and come back, or are of no machine ({read[lost][0]:g} °C), {when(t_s, lost)}: the sensor dropped out, and the rows are left out"
             cold.append(Finding("drift.dropout", "warning", said, {"readings_1": float(lost.sum())}))
             shared[name] = read = np.where(lost, np.nan, read)
         if (stepped_at := stepped(t_s, read)).size:
@@ -173,11 +176,11 @@ def _read_drift(path: Path, campaign: Campaign, stated: Mapping[str, Any]) -> tu
             findings = [*contradiction, *cold]
         moved_um = numbers_of(column[name]) * scale
         if (lost := nothing_read(moved_um)).any():
-            said = f"{lost.sum()} readings of {name} are 0 far off their neighbours, {_when(t_s, lost)}: the probe read nothing, and the rows are left out"
+            said = f"{lost.sum()} readings of {name} are 0 far off their neighbours, {when(t_s, lost)}: the probe read nothing, and the rows are left out"
             findings.append(Finding("drift.dropout", "warning", said, {"readings_1": float(lost.sum())}))
         samples = shared | {"displacement_um": np.where(lost, np.nan, moved_um)}
-        if (gone := ~np.isfinite(moved_um) & np.isfinite(t_s)).any():
-            said = f"the displacement has no reading in {gone.sum()} of {np.isfinite(t_s).sum()} rows, {_when(t_s, gone)}: they are left out"
+        if (gone := ~np.isfinite(moved_um) & np.isfinite(t_s) & ~of_sensors).any():
+            said = f"the displacement has no reading in {gone.sum()} of {np.isfinite(t_s).sum()} rows, {when(t_s, gone)}: they are left out"
             findings.append(Finding("drift.missing", "warning", said, {"readings_1": float(gone.sum())}))
         good = np.all([np.isfinite(values) for values in samples.values()], axis=0)
         if not good.any():
@@ -329,37 +332,6 @@ def _require_degrees(row: Sequence[str], units: Sequence[str] | None, recipe: Ma
             )
 
 
-def _require_rising(t_s: Floats, path: Path) -> None:
-    times = np.unique(t_s).size
-    if t_s.size > 1 and times < max(2.0, t_s.size / _MOST_AT_ONCE):
-        raise InputError(
-            "the time hardly changes: how long the log took is not known",
-            code="drift.clock",
-            where=str(path),
-            got=f"{t_s.size} readings at {times} time{'s' if times > 1 else ''}",
-            allowed=f"up to {_MOST_AT_ONCE} readings at one time",
-            hint="dates alone are no times: the time of day may stand in a column whose head does not say so, such as Time or Uhrzeit",
-        )
-    falls = np.flatnonzero(np.diff(t_s) < 0.0)
-    if falls.size:
-        at = int(falls[0])
-        raise InputError(
-            "the time does not rise",
-            code="drift.clock",
-            where=f"{path} reading {at + 2}",
-            got=f"{t_s[at + 1] - t_s[at]:g} s after the reading before",
-            allowed="readings in the order of their times",
-            hint="a clock that was set back, by summer time or by hand: correct it, or part the log there",
-        )
-
-
-def _when(t_s: Floats, which: NDArray[np.bool_]) -> str:
-    """Return between which minutes of the log readings were taken."""
-    told = (t_s[which] - np.nanmin(t_s)) / 60.0
-    told = told[np.isfinite(told)]
-    return f"from {told.min():z.0f} to {told.max():z.0f} min" if told.size else "without a time"
-
-
 def _step_mm(path: Path, text: str, campaign: Campaign, stated: Mapping[str, Any]) -> tuple[float, tuple[Finding, ...]]:
     """Return the size of a step, and that the file itself says another one."""
     said = _STEP_SAID.search(text)
@@ -381,20 +353,6 @@ def _step_mm(path: Path, text: str, campaign: Campaign, stated: Mapping[str, Any
         return step, ()
     told = f"campaign.toml states a step of {step:g} mm, the file {own:g}; that of campaign.toml is used"
     return step, (Finding("drift.step", "warning", told, {"told_step_mm": step, "read_step_mm": own}),)
-
-
-def _seconds(cells: Sequence[str], unit_s: float, path: Path, head: str, *, stamps: bool) -> Floats:
-    """Return times in seconds: numbers of ``unit_s``, or stamps; ``stamps``: numbers have no unit."""
-    times = times_of_cells(cells, unit_s, f"{path} {head}", head, stamps=stamps)
-    if times is not None:
-        return times
-    raise InputError(
-        "times tell no unit, or are of no known form",
-        code="drift.time",
-        where=str(path),
-        got=cells[0][:40],
-        allowed=f"a head with a unit, such as time [s], time [min] or time [d]; or {FORMS}",
-    )
 
 
 READERS = dict.fromkeys(SUFFIXES, _read_drift)

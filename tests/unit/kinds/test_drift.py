@@ -906,6 +906,16 @@ def test_a_displacement_without_readings_is_told_with_its_rows(tmp_path: Path) -
     assert said.startswith("the displacement has no reading in 100 of 300 rows")
 
 
+def test_sensors_in_rows_of_their_own_are_read_between_these(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    rows = [f"{n},,{20 + 0.01 * n:g}" if n % 10 == 0 else f"{n},{0.05 * n:g}," for n in range(401)]
+    path.write_text("\n".join(["time [s],z [um],frame [C]", *rows]), encoding="utf-8")
+    run = read(path)
+    assert run.n_samples == 360
+    assert run.samples["temperature_frame_c"] == pytest.approx([20 + 0.01 * n for n in range(401) if n % 10])
+    assert {f.code for f in run.findings} == {"drift.between"}
+
+
 @pytest.mark.parametrize(
     ("form", "stamp"),
     [
