@@ -394,5 +394,5 @@ def _wrong(message: str, path: Path, got: str, allowed: str) -> InputError:
         where=str(path),
         got=got[:120],
         allowed=allowed,
-        hint="docs/how-to/ingest-your-own.md, tables of circles",
+        hint="docs/how-to/ingest-your-own.md, tables of circles; points of a plane that make no circle, commanded and measured: --kind poses",
     )

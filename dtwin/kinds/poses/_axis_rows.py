@@ -104,8 +104,8 @@ _MOST_HEADS = 12
 _UNITS = {"meters": "m", "millimeters": "mm", "m": "m", "mm": "mm"}
 _ROS = re.compile(r"(?:.*[./ ])?(position|translation|orientation|rotation)[./]([xyzw])$", re.I)
 _WORDS = {
-    **dict.fromkeys(("soll", "target", "nominal", "command", "commanded", "cmd"), "target"),
-    **dict.fromkeys(("error", "deviation", "fehler", "abweichung"), "error"),
+    **dict.fromkeys(("soll", "target", "nominal", "nom", "desired", "command", "commanded", "cmd"), "target"),
+    **dict.fromkeys(("error", "err", "deviation", "dev", "fehler", "abweichung"), "error"),
     **dict.fromkeys(("ist", "measured", "meas", "actual", "act", "attained"), "measured"),
 }
 _WORD = "|".join(sorted(_WORDS, key=len, reverse=True))

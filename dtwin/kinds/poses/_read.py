@@ -71,13 +71,14 @@ def _read_poses(path: Path, campaign: Campaign, stated: Mapping[str, Any]) -> tu
         logged = inside(path.parent, log, "condition.joints_log")
         columns, moving = with_joints(columns, _columns(logged, campaign)[0], logged)
         in_motion = [{"row": int(r), "reason": "the robot moved", "values": {}} for r in np.flatnonzero(moving)]
+    columns, of_plane = _with_height(columns)
     _require(columns, path, heads, unit)
     total = len(next(iter(columns.values())))
     columns["row_1"] = np.arange(1.0, total + 1.0)
     out = _left_out(stated.get("condition", {}), total, path)
     copy_of = _copies(columns)
     columns, findings = with_orientation(columns, path)
-    findings += _timed(columns, heads, total)
+    findings += [*of_plane, *_timed(columns, heads, total)]
     needed = _NEEDED if any(n.startswith("joint_") for n in columns) else (*_NEEDED, "target_")
     need = np.stack([v for n, v in columns.items() if n.startswith(needed)], axis=1)
     good = np.isfinite(need).all(axis=1)
@@ -115,6 +116,17 @@ def _read_poses(path: Path, campaign: Campaign, stated: Mapping[str, Any]) -> tu
         findings.append(Finding("poses.gaps", "warning", said))
     meta = RunMeta(run_id="poses", kind="poses", sample_rate_hz=float("nan"))
     return [Run(meta, samples, source=str(path), findings=tuple(findings))], [*in_motion, *rejects]
+
+
+def _with_height(columns: dict[str, Floats]) -> tuple[dict[str, Floats], list[Finding]]:
+    """Return commanded and measured points of a plane with a height of 0, and what is said of it; others as they are."""
+    read = "measured" if "measured_x_mm" in columns else "error"
+    flat = {f"{what}_{axis}_mm" for what in ("target", read) for axis in "xy"}
+    if not flat <= set(columns) or any(name.startswith("joint_") or name.endswith("_z_mm") for name in columns):
+        return columns, []
+    height = np.zeros(len(columns["target_x_mm"]))
+    said = "the table has X and Y alone: points of a plane, whose height is taken to be as commanded"
+    return {**columns, "target_z_mm": height, f"{read}_z_mm": height}, [Finding("poses.plane", "info", said)]
 
 
 def _left_out(condition: Mapping[str, Any], n: int, path: Path) -> list[int]:

@@ -1020,6 +1020,20 @@ def test_measured_places_alone_are_refused_with_how_they_repeat(tmp_path: Path, 
     assert again.value.got == refused.value.got
 
 
+@pytest.mark.parametrize(
+    "heads", ["Nom X [mm],Nom Y [mm],Meas X [mm],Meas Y [mm]", "Desired_X,Desired_Y,err_x_mm,err_y_mm"]
+)
+def test_points_of_a_plane_are_poses_without_a_height(tmp_path: Path, heads: str) -> None:
+    path = tmp_path / "a.csv"
+    target = np.random.default_rng(4).uniform(-300.0, 300.0, (30, 2))
+    read = target @ Rotation.from_euler("z", 0.1, degrees=True).as_matrix()[:2, :2].T + [0.3, -0.1]
+    told = np.hstack([target, read - target if "err" in heads else read])
+    path.write_text("\n".join([heads, *(",".join(f"{v:.6f}" for v in row) for row in told)]), encoding="utf-8")
+    assert "poses.plane" in str(check_source(path, told={"kind": "poses"}))
+    (run,), _ = _read_poses(path, Campaign("a", "m", "poses"), {})
+    assert measured_of(run) == pytest.approx(np.hstack([read, np.zeros((30, 1))]), abs=1e-6)
+
+
 @pytest.mark.parametrize("path_of_a_motion", [False, True])
 def test_points_of_a_laser_tracker_program_tell_how_they_repeat_and_a_path_does_not(
     tmp_path: Path, path_of_a_motion: bool
