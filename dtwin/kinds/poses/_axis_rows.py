@@ -16,8 +16,8 @@ from dtwin.units import LENGTHS_MM
 _MOST_TITLES = 20
 _XYZ = ("X", "Y", "Z")
 _AXES = ("x", "y", "z")
-_FEWEST = 3
-"""Joints of an arm."""
+_FEWEST, FEWEST_OF_ARM = 3, 5
+"""Joints of an arm; so many are of nothing else, whatever stands beside them."""
 _UNIT = re.compile(r"(\s*[\[(/].*|_[mnµu]?m)?$")
 _Rows = Sequence[Sequence[str]]
 
@@ -176,14 +176,17 @@ def of_words(head: str, below: str = "") -> str:
 
 
 def joints_of(heads: Sequence[str], units: Sequence[str]) -> dict[int, str]:
-    """Return the house's names, by column, of joints that heads such as ``j1``, ``A1 [deg]`` or ``theta_1`` tell, counted from 1 without a gap.
+    """Return the house's names, by column, of joints that heads such as ``j1``, ``A1 [deg]`` or ``theta_1`` tell, counted without a gap from 1, or,
+    as ``q_0`` to ``q_5``, from 0.
 
     Of a quaternion, ``Q0`` to ``Q3`` or ``q1`` to ``q4``, there are none. ``units``: those in a row below the heads.
     """
     found = {n: match for n, head in enumerate(heads) if (match := _JOINT.fullmatch(head.strip())) is not None}
-    numbers = sorted(int(match[1]) for match in found.values())
+    counted = sorted(int(match[1]) for match in found.values())
+    first = 0 if counted[:1] == [0] else 1
     quaternion = len(found) == 4 and all(match[0].lower().startswith("q") for match in found.values())
-    if numbers != list(range(1, len(found) + 1)) or len(found) < _FEWEST or quaternion:
+    fewest = _FEWEST if first else FEWEST_OF_ARM
+    if counted != list(range(first, first + len(found))) or len(found) < fewest or quaternion:
         return {}
     told = {
         n: (match["unit"] or (units[n] if n < len(units) else "")).strip("[]() ").lower() for n, match in found.items()
@@ -192,7 +195,7 @@ def joints_of(heads: Sequence[str], units: Sequence[str]) -> dict[int, str]:
         n: "rad" if t.startswith("rad") else "deg" if t.startswith(("deg", "\u00b0")) else NO_UNIT
         for n, t in told.items()
     }
-    return {n: f"joint_{match[1]}_{unit[n]}" for n, match in found.items()}
+    return {n: f"joint_{int(match[1]) + 1 - first}_{unit[n]}" for n, match in found.items()}
 
 
 def places_of(heads: Sequence[str], units: Sequence[str]) -> dict[int, str]:

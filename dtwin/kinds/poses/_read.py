@@ -32,6 +32,7 @@ from dtwin.acquire.table_dialect import SUMMARY, decoded, remarks_of, rows_of, t
 from dtwin.acquire.time_stamps import clock_of, numbers_of, of_stamps
 from dtwin.errors import InputError
 from dtwin.kinds.poses._axis_rows import (
+    FEWEST_OF_ARM,
     NO_UNIT,
     axes_beside,
     is_by_axes,
@@ -174,6 +175,8 @@ def is_pose_table(path: Path) -> bool:
     heads = _headed(rows, {}, path)[0]
     if joined(rows) is not None or of_ros(heads) or of_tracker(heads) or repeated_places(rows):
         return True
+    if sum(head.startswith("joint_") for head in heads) >= FEWEST_OF_ARM:
+        return True
     commanded = any(h.startswith("joint_1_") for h in heads) or _are_places("target", heads)
     return commanded and (_are_places("measured", heads) or _are_places("error", heads))
 
@@ -259,7 +262,7 @@ def _with_degrees(columns: dict[str, Floats], path: Path) -> dict[str, Floats]:
             where=str(path),
             got=", ".join(name.removesuffix(f"_{NO_UNIT}") for name in without),
             allowed="deg, rad",
-            hint="write it into the heads, such as J1 [rad]",
+            hint='write it into the heads, such as J1 [rad], or "J1" = "joint_1_rad" under [campaign.instrument.columns]',
         )
     return {name.replace(NO_UNIT, "deg"): values for name, values in columns.items()}
 
@@ -318,7 +321,8 @@ def _require(columns: Mapping[str, Floats], path: Path, heads: list[str], unit: 
         missing = "measured places, measured_x_mm …" if "joint_1" in known[0] else commanded
         hint = f"[campaign.instrument.columns] with the lines {', '.join(known[:7])}; and {missing}, in the same way"
     else:
-        hint = 'other headers: [campaign.instrument.columns] with lines such as "Goal x" = "target_x_m"'
+        read = "HEAD" if joints else "Goal x"
+        hint = f'other headers: [campaign.instrument.columns] of campaign.toml with lines such as "{read}" = "{"measured" if joints else "target"}_x_m": docs/how-to/robot-poses.md'
     raise InputError(
         "a table of poses lacks columns",
         code="columns.missing",

@@ -409,6 +409,7 @@ def beside(folder: Path, joints: str, places: str, *, unit: float = 1.0, lost: i
     [
         ("j1 j2 j3 j4 j5 j6", DEGREE),
         (" ".join(f"joint_{n}" for n in range(1, 7)), DEGREE),
+        (" ".join(f"q_{n}" for n in range(6)), DEGREE),
         ("A1[deg] A2[deg] A3[deg] A4[deg] A5[deg] A6[deg]", DEGREE),
         ("theta_1_rad theta_2_rad theta_3_rad theta_4_rad theta_5_rad theta_6_rad", 1.0),
     ],
