@@ -24,6 +24,7 @@ _SMALL_MM = 10.0
 _EXACT_MM = 1e-3
 _WILD = 12.0
 _ROUNDS, _MOST_KEPT, _LISTED = 10, 0.8, 8
+_FEWEST_STOPS = 3
 _ALIKE = 0.05
 _MUCH_MM = 2.0
 """Of a reflector beside the commanded point, rather than of a robot."""
@@ -168,6 +169,14 @@ def _repeats(series: Series) -> list[Finding]:
         return [Finding("poses.no_repeats", "warning", said)]
     said = f"{series.repeats} poses were measured again: a reading scatters by {1000.0 * series.floor_mm:z.0f} µm"
     told = [Finding("poses.repeats", "info", said, {"floor_mm": series.floor_mm})]
+    # Each place is one stretch of rows.
+    place = series.poses.place
+    if series.repeats >= _FEWEST_STOPS and np.count_nonzero(np.diff(place)) + 1 == np.unique(place).size:
+        said = (
+            "the readings of each pose stand in rows one after the other: if the robot did not move in between, they are no repeats, "
+            "and repeatability, noise floor and U are too small"
+        )
+        told.append(Finding("poses.one_stop", "warning", said, {"poses_1": float(series.repeats)}))
     if series.moved_mm:
         said = (
             f"poses that were measured again moved by {1000.0 * series.moved_mm:z.0f} µm from the first row to the last: "

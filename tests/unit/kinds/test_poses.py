@@ -887,6 +887,40 @@ def test_rows_that_were_written_twice_are_no_repeats(tmp_path: Path) -> None:
     assert "poses.copies" in _codes(untimed)
 
 
+@pytest.mark.parametrize("in_a_row", [True, False])
+def test_readings_of_one_stop_may_be_no_repeats(tmp_path: Path, in_a_row: bool) -> None:
+    joints = np.unique(_joints(40, 3), axis=0)
+    order = np.repeat(np.arange(len(joints)), 3) if in_a_row else np.tile(np.arange(len(joints)), 3)
+    noise = np.random.default_rng(3).normal(0.0, 0.01, (len(order), 3))
+    folder = _written(tmp_path / "c", joints[order], _measured(joints)[order] + noise, timed=False)
+    assert ("poses.one_stop" in _codes(folder)) is in_a_row
+
+
+def test_a_table_in_craigs_convention_is_one_of_denavit_and_hartenberg_whose_a_and_alpha_stand_a_row_further_up() -> (
+    None
+):
+    # a, d, alpha, theta of a row Rx(alpha) Tx(a) Rz(theta + q) Tz(d).
+    rng = np.random.default_rng(3)
+    craig = rng.uniform(-1.0, 1.0, (6, 4)) * [300.0, 200.0, 1.5, 1.5]
+    q = rng.uniform(-2.0, 2.0, (5, 6))
+
+    def last(joints: np.ndarray) -> np.ndarray:
+        pose = np.eye(4)
+        for (a, d, alpha, theta), angle in zip(craig, joints, strict=True):
+            for turn, shift in ((("x", alpha), [a, 0, 0]), (("z", theta + angle), [0, 0, d])):
+                step = np.eye(4)
+                step[:3, :3] = Rotation.from_euler(*turn).as_matrix()
+                step[:3, 3] = step[:3, :3] @ shift
+                pose = pose @ step
+        return pose[:3, 3]
+
+    rows = craig.copy()
+    rows[:-1, [0, 2]], rows[-1, [0, 2]] = craig[1:, [0, 2]], 0.0
+    of_base = Rotation.from_euler("x", craig[0, 2]).as_matrix()
+    ours = frames(q, rows).origin_mm[-1] @ of_base.T + of_base @ [craig[0, 0], 0.0, 0.0]
+    assert ours == pytest.approx(np.array([last(joints) for joints in q]), abs=1e-9)
+
+
 def test_a_diagnosis_names_the_row_that_holds_most_of_what_is_left(tmp_path: Path) -> None:
     joints, rng = _joints(100, 10), np.random.default_rng(10)
     measured = _measured(joints) + rng.normal(0.0, 0.02, (len(joints), 3))
