@@ -43,7 +43,8 @@ def table_of(rows: Sequence[Sequence[str]]) -> list[Sequence[str]] | None:
     table = _below_titles(rows)
     # Titles have one cell.
     wide = [row for row in rows if sum(bool(cell.strip()) for cell in row) > 1]
-    if table is None and wide and max(map(len, wide)) <= _MOST_ON_ITS_SIDE:
+    # What was logged has more rows than a table on its side has heads.
+    if table is None and wide and max(len(wide), *map(len, wide)) <= _MOST_ON_ITS_SIDE:
         table = _below_titles(list(zip_longest(*wide, fillvalue="")))
         if table is not None and len(table[0]) > _FEWEST_ALIKE and len(set(table[0][1:])) == 1:
             # The reflector that a tracker measured again and again.
