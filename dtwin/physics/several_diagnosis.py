@@ -99,6 +99,12 @@ def diagnose_several(
     settled = joint(tests, library)
     groups, ruled_out = merged(twin.terms, tests, settled, library)
     groups, denied = _shown_together(twin, groups, campaigns, library)
+    if not groups and any(test.found.found for test in tests):
+        # What the others deny does not explain what a campaign shows, and something does.
+        asked = [_without_denied(test, library, seed) for test in tests]
+        settled = joint(asked, library)
+        groups, _ = merged(twin.terms, asked, settled, library)
+        groups, _ = _shown_together(twin, groups, campaigns, library)
     explained: dict[str, str] = {}
     better: list[Group] = []
     for contradiction in twin.contradictions:
@@ -110,6 +116,15 @@ def diagnose_several(
     wrong = {where for _, where in better}
     groups = [*better, *(found for found in groups if found[1] not in wrong)]
     return _concluded(twin, tests, settled, groups, denied, explained, ruled_out, library)
+
+
+def _without_denied(test: MachineTest, library: Mapping[str, Effect], seed: int) -> MachineTest:
+    """Return what a campaign shows when it is asked without all that it found."""
+    denied = {s.effect for group in test.found.found for s in group}
+    if test.found.verdict == "need_repeats" or not denied:
+        return test
+    rest = {name: effect for name, effect in library.items() if name not in denied}
+    return replace(test, found=diagnose(test.obs, test.known, rest, seed=seed))
 
 
 def _shown_together(

@@ -427,3 +427,14 @@ def test_an_effect_that_each_test_sees_on_an_axis_of_its_own_has_no_other_size(m
     lasers = [laser("X", 30.0, 3.0), laser("Y", 0.0, 0.0)]
     monkeypatch.setattr("dtwin.physics.one_size.fit_several", lambda *_: pytest.fail("nothing to compare"))
     assert of_other_sizes(["lead_error X", "backlash Y"], [], lasers, lasers[0].grid.kind, LIBRARY) == []
+
+
+def test_where_others_deny_all_that_a_campaign_finds_it_is_asked_again_without_that() -> None:
+    """Circles that took a drift of the bar for growth showed nothing at all, once lasers had seen no growth."""
+    bar = circles(MillParameters(bar_growth_um_h=12.0))
+    tests = [bar, *(warmed(axis, 1) for axis in "XY")]
+    told = diagnose(bar, [], LIBRARY)
+    growth = next(s for s in told.suspects if s.effect == "thermal_growth")
+    mistaken = replace(told, found=((replace(growth, in_group=True, confounded_with=()),),))
+    said = diagnose_several(twin_of_all(tests), tests, LIBRARY, alone=[mistaken, None, None])
+    assert [s.label for group in said.found for s in group] == ["thermal_drift"]
