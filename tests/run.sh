@@ -20,8 +20,9 @@ quiet() { nice -n 10 "$@"; }
     exit "${failed:-0}"
 ) &
 beside=$!
-# Compiles what the tests import, and rewrites their asserts: every worker would do so for itself.
-.venv/bin/python -m pytest --collect-only -q -m "not long" >/dev/null || true
+# Collects all, so that what the tests import is compiled and their asserts are rewritten, and runs tests that train, by which numba
+# compiles (20 s): every worker would do both for itself. Whatever fails here fails below, too.
+.venv/bin/python -m pytest -q -m "not long" -k test_scheduled >/dev/null || true
 # Of .ci/run: what only the tests need.
 [ -z "${installing:-}" ] || wait "$installing"
 tests=0
