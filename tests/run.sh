@@ -22,7 +22,7 @@ quiet() { nice -n 10 "$@"; }
 beside=$!
 # Collects all, so that what the tests import is compiled and their asserts are rewritten, and runs tests that train, by which numba
 # compiles (20 s): every worker would do both for itself. Whatever fails here fails below, too.
-.venv/bin/python -m pytest -q -m "not long" -k test_scheduled >/dev/null || true
+[ $# -gt 0 ] || .venv/bin/python -m pytest -q -m "not long" -k test_scheduled >/dev/null || true
 # Of .ci/run: what only the tests need.
 [ -z "${installing:-}" ] || wait "$installing"
 tests=0

@@ -28,4 +28,7 @@ def diagnosing_code() -> str:
 
 def is_of_other_code(diagnosis: Mapping[str, Any] | None) -> bool:
     """Tell whether a stored diagnosis was made by another version of dtwin than this one."""
-    return bool(diagnosis) and (diagnosis or {}).get(MADE_BY) != diagnosing_code()
+    # A page has none, or an empty one, where nothing was diagnosed.
+    if not diagnosis:
+        return False
+    return diagnosis.get(MADE_BY) != diagnosing_code()

@@ -17,6 +17,7 @@ _MOST_AT_ONCE = 50
 
 
 def require_rising(t_s: Floats, path: Path) -> None:
+    """Refuse times (n,) that hardly change, or that fall."""
     times = np.unique(t_s).size
     if t_s.size > 1 and times < max(2.0, t_s.size / _MOST_AT_ONCE):
         raise InputError(

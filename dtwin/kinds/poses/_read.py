@@ -294,6 +294,7 @@ def _headed(
         for head, below in zip_longest(heads, told[: len(heads)], fillvalue="")
     ]
     known_already = {name.partition("_")[0] for name in named}
+    # A plain joint_1 tells no unit.
     if "joint" not in known_already or "joint_1" in named:
         for n, name in joints_of(heads, told).items():
             named[n] = name

@@ -249,8 +249,7 @@ def draft(machine: str, axes: Mapping[str, Mapping[str, float]], last: Sequence[
         axis = str(then[0]["axis"])
         stated["axis"] = axis
         stated["bandwidth_hz"] = float(then[0].get(f"{axis.lower()}_bandwidth_hz", 0.0))
-        for name in ("frequencies_hz", "amplitudes_um"):
-            one = {"frequencies_hz": "frequency_hz", "amplitudes_um": "amplitude_um"}[name]
+        for name, one in (("frequencies_hz", "frequency_hz"), ("amplitudes_um", "amplitude_um")):
             stated[name] = sorted({float(condition[one]) for condition in then})
     return {"plan": {"kind": "sinusoidal", **stated}}
 
