@@ -270,6 +270,17 @@ def test_a_real_recording_is_dropped_on_the_page(page: Page, bench: Workbench, r
     assert "tests are decided by those in their files" in bench.ask("/machines/ur10e-error-map")[1]
 
 
+def test_a_polar_plot_stands_as_lines_before_plotly_does(page: Page, bench: Workbench) -> None:
+    page.route("**/plotly.js*", lambda route: route.abort())
+    page.goto(f"{bench.base}/campaigns/ur10e")
+    expect(page.locator("#sheet ~ .plot")).to_contain_text("plotly.js did not load")
+    expect(page.locator(".canvas").get_by_text("0", exact=True)).to_be_visible()
+    # The nominal circle and a curve for each direction, inside the figure.
+    boxes = [line.bounding_box() for line in page.locator(".canvas polyline").all()]
+    assert len(boxes) == 3
+    assert all(b and 150.0 < b["width"] < 560.0 and 150.0 < b["height"] < 560.0 for b in boxes)
+
+
 def test_a_table_alone_is_asked_how_it_was_measured_then_amended_and_left_out(page: Page, bench: Workbench) -> None:
     page.goto(f"{bench.base}/campaigns")
     t_s = [i * 0.01 for i in range(800)]

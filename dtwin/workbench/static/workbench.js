@@ -2,8 +2,6 @@
 // Server-rendered pages; this draws figures, sends forms, and follows work in progress.
 
 const byId = (id) => document.getElementById(id);
-// Plotly runs after this file: what a figure shows is asked for meanwhile.
-const drawable = new Promise((done) => document.addEventListener("DOMContentLoaded", done));
 const all = (selector, within) => Array.from((within || document).querySelectorAll(selector));
 const CONFIG = { displaylogo: false, responsive: true, modeBarButtonsToRemove: ["lasso2d", "select2d", "sendChartToCloud"], plotlyServerURL: "" };
 
@@ -49,6 +47,61 @@ function addressOf(figure) {
   return by ? `${address}?${new URLSearchParams({ [by.name]: by.value })}` : address;
 }
 
+// A browser that never drew before compiles Plotly for a second, and shows nothing meanwhile: it is asked for once
+// the first figure of the page is painted, a polar plot as lines.
+let running;
+async function started() {
+  await Promise.allSettled([all("[data-figure]")[0].asked]);
+  await new Promise((painted) => requestAnimationFrame(() => setTimeout(painted, 20)));
+  const script = Object.assign(document.createElement("script"), { src: document.querySelector("link[rel=preload]").href });
+  await new Promise((done, failed) => {
+    Object.assign(script, { onload: done, onerror: () => failed(new Error("plotly.js did not load\n  try: load the page again")) });
+    document.head.append(script);
+  });
+}
+
+const SVG = "http://www.w3.org/2000/svg";
+const DASHES = { dot: "2 2", dash: "6 4", dashdot: "6 2 2 2" };
+
+const TYPES = { i1: Int8Array, u1: Uint8Array, i2: Int16Array, u2: Uint16Array, i4: Int32Array, u4: Uint32Array, f4: Float32Array, f8: Float64Array };
+
+// Plotly takes lists of numbers, and packed ones.
+const numbers = (told) => ("bdata" in told ? new TYPES[told.dtype](Uint8Array.from(atob(told.bdata), (c) => c.charCodeAt(0)).buffer) : told);
+
+function sketched(canvas, { data, layout }) {
+  const { radialaxis: radial, angularaxis: angular } = layout.polar || {};
+  if (!radial || !radial.range || !radial.tickvals) return;
+  const { l, r, t } = layout.margin;
+  const b = layout.margin.b + (window.innerWidth < 700 ? 58 : 18); // as high as the legend, which Plotly makes room for
+  const [across, down] = [canvas.clientWidth, layout.height];
+  const [x, y, radius] = [(l + across - r) / 2, (t + down - b) / 2, Math.min(across - l - r, down - t - b) / 2];
+  const at = (theta, length) => {
+    const out = (length * radius) / radial.range[1];
+    return [x + out * Math.cos((theta * Math.PI) / 180), y - out * Math.sin((theta * Math.PI) / 180)].map((v) => v.toFixed(1));
+  };
+  const svg = document.createElementNS(SVG, "svg");
+  const added = (name, values, text) => {
+    const made = document.createElementNS(SVG, name);
+    Object.entries(values).forEach(([key, value]) => made.setAttribute(key, value));
+    made.textContent = text || "";
+    svg.append(made);
+  };
+  const written = (text, [across, down], size) => added("text", { x: across, y: down, "font-size": size, "text-anchor": "middle", "dominant-baseline": "central", fill: "#2a3f5f" }, text);
+  Object.entries({ width: across, height: down, fill: "none", "aria-hidden": "true", "font-family": "system-ui, sans-serif" }).forEach(([key, value]) => svg.setAttribute(key, value));
+  radial.tickvals.forEach((ring, i) => {
+    added("circle", { cx: x, cy: y, r: (ring * radius) / radial.range[1], stroke: "#ebf0f8" });
+    written(radial.ticktext[i], at(radial.angle || 0, ring), 10);
+  });
+  ((angular || {}).ticktext || []).forEach((name, i) => written(name, at(angular.tickvals[i], 1.07 * radial.range[1]), 13));
+  for (const { theta, r: lengths, line, mode } of data) {
+    if (mode !== "lines") continue;
+    const angles = numbers(theta);
+    const points = Array.from(numbers(lengths), (length, i) => at(angles[i], length).join());
+    added("polyline", { points: points.join(" "), stroke: line.color, "stroke-width": line.width, "stroke-dasharray": DASHES[line.dash] || "" });
+  }
+  canvas.replaceChildren(svg);
+}
+
 async function draw(figure) {
   if (figure.dataset.by && !byId(figure.dataset.by).value) return;
   const canvas = figure.querySelector(".canvas");
@@ -56,7 +109,8 @@ async function draw(figure) {
   figure.turn = turn;
   figure.setAttribute("aria-busy", "true");
   try {
-    const found = await ask(addressOf(figure));
+    figure.asked = ask(addressOf(figure));
+    const found = await figure.asked;
     if (figure.turn !== turn) return;
     all(".refusal", figure).forEach((old) => old.remove());
     const magnified = "magnified" in figure.dataset;
@@ -72,7 +126,12 @@ async function draw(figure) {
       found.layout.legend = { orientation: "h", y: -0.18, yanchor: "top" };
     }
     canvas.style.minHeight = `${found.layout.height}px`;
-    await drawable;
+    if (!window.Plotly) {
+      sketched(canvas, found);
+      await (running ||= started());
+      if (figure.turn !== turn) return;
+      if (!canvas.data) canvas.replaceChildren();
+    }
     await Plotly.react(canvas, found.data, found.layout, CONFIG);
     if (magnified) keepMagnification(canvas);
     if ("map" in figure.dataset && !figure.listening) {
