@@ -24,7 +24,7 @@ def merged(
     Beside it the labels that would need another size in another test of the kind.
     """
     left = {(s.campaign, s.group): s.left for s in settled.settled}
-    refuted = {key for shared in settled.shared if (key := _refuted(shared)) is not None}
+    refuted = _refuted_keys(settled)
     every: list[Group] = []
     for test in tests:
         if test.found.verdict == "need_repeats":
@@ -108,6 +108,17 @@ def _is_another_of(group: tuple[Suspect, ...], groups: list[Group]) -> bool:
 
 def key_of_suspect(suspect: Suspect, library: Mapping[str, Effect]) -> tuple[str, str]:
     return cause_of(library[suspect.effect]), suspect.axis
+
+
+def refuted_names(tests: Sequence[MachineTest], settled: Joint, library: Mapping[str, Effect]) -> list[str]:
+    """Return the names that one test finds alone and the others say are not there."""
+    refuted = _refuted_keys(settled)
+    alone = [(t.campaign, group[0]) for t in tests for group in t.found.found if len(group) == 1]
+    return [s.label for campaign, s in alone if (campaign, *key_of_suspect(s, library)) in refuted]
+
+
+def _refuted_keys(settled: Joint) -> set[tuple[str, str, str]]:
+    return {key for shared in settled.shared if (key := _refuted(shared)) is not None}
 
 
 def _refuted(shared: Shared) -> tuple[str, str, str] | None:

@@ -159,6 +159,24 @@ def spread(parts: Sequence[Part], maps: Sequence[Floats], x: Floats, inverse: Fl
     return Spread(np.sqrt(variance), np.asarray(dof))
 
 
+def wider(part: Part, x: Floats, of: NDArray[np.bool_]) -> float:
+    """Return how many times less certain parameters of a campaign are, fitted alone, than its weight says: the median.
+
+    Neighbours along a path scatter together, and all of a run: so many readings tell less than as many independent ones.
+
+    ``x``, (k,): its own parameters; ``of``, (k,): those that count.
+    """
+    if part.problem.noise is None:
+        return 1.0
+    inverse = _inverse(part.gram)
+    own = of & (np.diag(inverse) > 0.0)
+    if not own.any():
+        return 1.0
+    variance, _ = _of_part(part, np.eye(len(x)), x, inverse)
+    times = float(np.sqrt(np.median(variance[own] / np.diag(inverse)[own])))
+    return max(times, 1.0) if np.isfinite(times) else 1.0
+
+
 @dataclass(frozen=True)
 class Scatter:
     """What the runs of a campaign scatter by, and what that does to the common parameters.

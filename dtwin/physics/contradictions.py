@@ -11,7 +11,7 @@ import numpy as np
 from dtwin.physics._pooled import Part, determined, normal_inverse, spread
 from dtwin.physics.machine_terms import is_shared, is_wave
 from dtwin.physics.observations import Observations
-from dtwin.physics.several import Pool, SeveralFit, amplitude, regrouped, seen_estimates
+from dtwin.physics.several import Pool, SeveralFit, amplitude, by_floors, regrouped, seen_estimates
 from dtwin.physics.state import AXES_OF
 from dtwin.physics.whitening import condition_sums, within_condition
 from dtwin.schema import Floats
@@ -89,15 +89,16 @@ def without_contradictions(fitted: SeveralFit, started: Sequence[str]) -> tuple[
     """
     found: list[Contradiction] = []
     while len(found) < _MOST:
-        worst = _worst(fitted, started)
+        pool = by_floors(fitted.pool)
+        worst = _worst(pool, started)
         if worst is None:
             break
-        groups = dict(fitted.pool.groups)
-        mine = _with_term(fitted.pool, worst.term)
+        groups = dict(pool.groups)
+        mine = _with_term(pool, worst.term)
         new = 1 + max(groups.values(), default=0)
         moved = worst.side if stays(mine - worst.side, worst.side, started) else mine - worst.side
         groups |= {(c, worst.term): new for c in moved}
-        found.append(replace(_told(worst, fitted.pool, mine, started), rivals=_rivals(fitted.pool, worst)))
+        found.append(replace(_told(worst, pool, mine, started), rivals=_rivals(pool, worst)))
         fitted = regrouped(fitted, groups)
     return fitted, (*found, *_of_waves(fitted, started))
 
@@ -145,9 +146,8 @@ def stays(rest: _Side, side: _Side, started: Sequence[str]) -> bool:
     return max(started[c] for c in rest) > max(started[c] for c in side)
 
 
-def _worst(fitted: SeveralFit, started: Sequence[str]) -> _Tested | None:
-    compared = _comparisons(fitted.pool, started)
-    tests = [t for side, beyond in compared for t in _tested(fitted.pool, side, beyond)]
+def _worst(pool: Pool, started: Sequence[str]) -> _Tested | None:
+    tests = [t for side, beyond in _comparisons(pool, started) for t in _tested(pool, side, beyond)]
     if not tests:
         return None
     p_values = holm([t.p_value for t in tests])

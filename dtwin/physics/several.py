@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from dtwin.errors import InputError
 from dtwin.physics import localise
-from dtwin.physics._pooled import Part, normal_inverse, own_columns, solve_pooled, spread
+from dtwin.physics._pooled import Part, normal_inverse, own_columns, solve_pooled, spread, wider
 from dtwin.physics._reference_lines import with_reference_lines
 from dtwin.physics.effect import Effect
 from dtwin.physics.fit import Alias, Estimate, Fit, estimates, find_aliases, residual_um, run_weights, setups, shaped
@@ -109,7 +109,7 @@ def fit_several(
         pool = _pooled(campaigns, _refined(pool, library).terms, library)
     for _ in range(_ROBUST_ROUNDS if robust else 0):
         pool = replace(pool, parts=tuple(_by_runs(pool)))
-    return _solved(pool)
+    return _solved(_by_certainty(pool))
 
 
 def _pooled(campaigns: Sequence[Observations], terms: Sequence[Term], library: Mapping[str, Effect]) -> Pool:
@@ -129,15 +129,31 @@ def _pooled(campaigns: Sequence[Observations], terms: Sequence[Term], library: M
         numbers = tuple(i for i, t in enumerate(mine) if t is not None)
         problem = unweighted_with_noise(obs, here)
         parts.append(Part(problem, here, numbers, own_columns(problem, here), np.ones(obs.n_rows), 1.0))
-    return _reweighted(Pool(tuple(parts), tuple(terms)))
+    return by_floors(Pool(tuple(parts), tuple(terms)))
 
 
-def _reweighted(pool: Pool) -> Pool:
+def by_floors(pool: Pool) -> Pool:
+    """Return campaigns with the weights that what is left within their runs gives."""
     for _ in range(_WEIGHT_ROUNDS):
         weights = [1.0 / max(um, 1e-9) for um in _within_runs_um(pool)]
         parts = tuple(replace(p, weight=weight) for p, weight in zip(pool.parts, weights, strict=True))
         pool = replace(pool, parts=parts)
     return pool
+
+
+def _by_certainty(pool: Pool) -> Pool:
+    """Return campaigns with the weights that the uncertainty of what they share gives, each fitted alone."""
+    times = [wider(part, x, _shared_columns(pool, part)) for part, x in zip(pool.parts, _own_values(pool), strict=True)]
+    parts = tuple(replace(p, weight=p.weight / t) for p, t in zip(pool.parts, times, strict=True))
+    return replace(pool, parts=parts)
+
+
+def _shared_columns(pool: Pool, part: Part) -> NDArray[np.bool_]:
+    """Tell which columns of a campaign belong to effects that campaigns share, shape (k,)."""
+    out = np.zeros(part.columns.shape[1], dtype=bool)
+    for i, span in part.spans():
+        out[span] = is_shared(pool.terms[part.number_of[i]], pool.terms)
+    return out
 
 
 def _within_runs_um(pool: Pool) -> list[float]:
@@ -222,7 +238,7 @@ def _cost(pool: Pool) -> float:
 
 def regrouped(fitted: SeveralFit, groups: Groups) -> SeveralFit:
     """Return the fit, its shapes as they are, in which campaigns have values of their own of shared terms."""
-    return _solved(_reweighted(replace(fitted.pool, groups=groups)))
+    return _solved(_by_certainty(by_floors(replace(fitted.pool, groups=groups))))
 
 
 def _solved(pool: Pool) -> SeveralFit:

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from dtwin.physics._merged_groups import Group, graded, key_of_suspect, merged
+from dtwin.physics._merged_groups import Group, graded, key_of_suspect, merged, refuted_names
 from dtwin.physics.contradictions import Contradiction, without_contradictions
 from dtwin.physics.diagnose import diagnose
 from dtwin.physics.diagnosis import Diagnosis, Suspect, Verdict
@@ -99,6 +99,7 @@ def diagnose_several(
     settled = joint(tests, library)
     groups, ruled_out = merged(twin.terms, tests, settled, library)
     groups, denied = _shown_together(twin, groups, campaigns, library)
+    denied = list(dict.fromkeys([*refuted_names(tests, settled, library), *denied]))
     if not groups and any(test.found.found for test in tests):
         # What the others deny does not explain what a campaign shows, and something does.
         asked = [_without_denied(test, library, seed) for test in tests]
