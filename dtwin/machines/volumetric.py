@@ -118,12 +118,15 @@ class BallReadings:
 
 
 class VolumetricMill:
-    """A mill during one campaign."""
+    """A mill during one campaign.
 
-    def __init__(self, schedule: Schedule, parameters: VolumetricParameters, seed: int) -> None:
-        self.schedule, self.parameters = schedule, parameters
+    ``seed``: of the machine, and with ``test``, the name of one, of what scatters during it.
+    """
+
+    def __init__(self, schedule: Schedule, parameters: VolumetricParameters, seed: int, test: str = "") -> None:
+        self.schedule, self.parameters, self.seed = schedule, parameters, seed
         self.hour, self.bodies_c = temperatures_c(schedule, READING_S, pump=parameters.pump)
-        self._rng = np.random.default_rng([seed, len(schedule.name)])
+        self._rng = np.random.default_rng([seed, len(schedule.name), *test.encode()])
         machine = np.random.default_rng(seed)
         self._seating = {
             pose: (machine.normal(0, parameters.seating_um, 3), machine.normal(0, 60.0, 3))

@@ -172,8 +172,10 @@ def _alike(obs: Observations, library: Mapping[str, Effect]) -> list[list[str]]:
     return [[label for label in seen if label in group] for group in groups]
 
 
-def _virtual_machine(home: Home, machine: str, kind: Kind) -> tuple[VirtualMachine, dict[str, str]] | None:
-    """Return the virtual machine that a machine is by its newest campaign of a kind, with its options.
+def _virtual_machine(home: Home, machine: str, kind: Kind) -> tuple[VirtualMachine, dict[str, str], int] | None:
+    """Return the virtual machine that a machine is by its newest campaign of a kind, with its options and a seed.
+
+    The seed is another one for each test, where a seed is of noise and set-ups alone, else that of the machine.
 
     None for a real one, and for a virtual one of which that campaign does not state every option.
     """
@@ -187,21 +189,19 @@ def _virtual_machine(home: Home, machine: str, kind: Kind) -> tuple[VirtualMachi
         return None
     told = {name: str(geometry[name]) for name, values in virtual.options.items() if geometry.get(name) in values}
     # One of which it is not stated what it is like would be another machine.
-    return (virtual, virtual.chosen(told)) if {*told, PLAN} == set(virtual.options) else None
+    if {*told, PLAN} != set(virtual.options):
+        return None
+    campaigns = {row["campaign"] for row in Lake(home.lake).runs(machine=machine)}
+    stated = geometry.get("seed")
+    own = stated if isinstance(stated, int) and stated >= 0 else 0
+    return virtual, virtual.chosen(told), len(campaigns) if virtual.seeds_measuring else own
 
 
 def measured_by(home: Home, document: Mapping[str, Any]) -> tuple[str, dict[str, str], int] | None:
-    """Return the virtual machine that measures a plan, its options, and a seed; None when a real machine does.
-
-    The seed is another one for each test, where a seed is of noise and set-ups alone.
-    """
+    """Return the virtual machine that measures a plan, its options, and a seed; None when a real machine does."""
     planned = planned_document(document, "the plan")
-    virtual = _virtual_machine(home, str(planned.summary["machine"]), kind_named(planned.kind))
-    if virtual is None:
-        return None
-    machine, options = virtual
-    campaigns = {row["campaign"] for row in Lake(home.lake).runs(machine=str(planned.summary["machine"]))}
-    return machine.name, options, len(campaigns) if machine.seeds_measuring else 0
+    found = _virtual_machine(home, str(planned.summary["machine"]), kind_named(planned.kind))
+    return found and (found[0].name, *found[1:])
 
 
 def keep_plan(home: Home, document: Mapping[str, Any]) -> str:

@@ -12,7 +12,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+import tomli_w
 from command_here import said
 from entered_workbench import enter
 from fleet_lake import fill
@@ -30,7 +32,15 @@ from dtwin.kinds.kind import NotOffered
 from dtwin.kinds.registry import kind_named, kinds
 from dtwin.lake.store import Lake
 from dtwin.physics.library import Library
-from dtwin.pipeline.planned_tests import draft_of, drafting_kinds, foretold, keep_plan, kept_plans, with_settings
+from dtwin.pipeline.planned_tests import (
+    draft_of,
+    drafting_kinds,
+    foretold,
+    keep_plan,
+    kept_plans,
+    measured_by,
+    with_settings,
+)
 from dtwin.pipeline.sheet_changes import last_changes, sheet_changes
 from dtwin.plan_file import planned_document
 from dtwin.report.changes import changes_text
@@ -92,6 +102,25 @@ def test_a_form_begins_with_the_last_test_of_any_kind(home: Home, tmp_path: Path
     assert (tones["axis"], tones["frequencies_hz"], tones["amplitudes_um"]) == ("Y", [7.0], [3.0])
     page = browser(home).get("/machines/mill-7/plan?kind=sinusoidal").text
     assert "no figures of a standard that could be compared" in page
+
+
+def test_the_virtual_mill_of_a_ball_array_measures_its_next_test_with_other_noise(home: Home, tmp_path: Path) -> None:
+    noise = []
+    for name in ("balls-1", "balls-2"):
+        asked = {"name": name, "hours": "2", "every_h": "1"}
+        document = with_settings(draft_of(home, "warm-mill", "volumetric"), asked)
+        (tmp_path / f"{name}.toml").write_text(tomli_w.dumps(document), encoding="utf-8")
+        plan = ["--plan", str(tmp_path / f"{name}.toml"), "--out", str(tmp_path / name)]
+        said("simulate", "--machine", "volumetric", "--truth", "pockets", "--seed", "3", *plan)
+        lake = Lake(home.lake)
+        ingest(tmp_path / name, lake)
+        assert foretold(home, document, Library())["virtual"] == "volumetric"
+        measured = measured_by(home, document)
+        assert measured is not None
+        assert (measured[1]["truth"], measured[1]["schedule"], measured[2]) == ("pockets", "training", 3)
+        noise.append(lake.load(lake.runs(campaign=name)[0]).samples["error_x_um"])
+    assert not np.array_equal(*noise)
+    assert noise[0] == pytest.approx(noise[1], abs=20.0)
 
 
 def test_a_feed_in_the_unit_of_its_plan_says_so(home: Home) -> None:

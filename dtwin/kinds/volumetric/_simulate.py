@@ -63,7 +63,7 @@ def simulate_volumetric(
     require_no_campaign(folder)
     if schedule not in SCHEDULES:
         raise InputError("no such schedule", code="simulate.schedule", got=schedule[:40], allowed=", ".join(SCHEDULES))
-    mill = VolumetricMill(SCHEDULES[schedule], parameters or VolumetricParameters(), seed)
+    mill = VolumetricMill(SCHEDULES[schedule], parameters or VolumetricParameters(), seed, plan.name if plan else "")
     cycles = _planned_cycles(plan, mill) if plan else range(0, mill.cycles, _QUICK_EVERY if quick else 1)
     folder.mkdir(parents=True, exist_ok=True)
     name, machine = (plan.name, plan.machine) if plan else (f"volumetric-{schedule}", MACHINE)
@@ -148,6 +148,9 @@ def _write_campaign_file(
     geometry = {
         "type": "volumetric",
         "virtual": True,
+        "schedule": mill.schedule.name,
+        "seed": mill.seed,
+        **dict([("truth", name) for name, parameters in TRUTHS.items() if parameters == mill.parameters]),
         "corrected": corrected,
         "chain": "XZY",
         **{f"stroke_{axis}_mm": list(reach) for axis, reach in STROKES_MM.items()},
