@@ -57,7 +57,8 @@ LENGTHS_MM = (
     | dict.fromkeys(("um", "µm", "μm", "micron", "microns", "micrometer", "micrometers", "mikrometer"), 1e-3)
     | dict.fromkeys(("µ", "μ", "mikron"), 1e-3)
     | dict.fromkeys(("millimeter", "millimeters"), 1.0)
-    | dict.fromkeys(("in", "inch", "inches"), 25.4)
+    | dict.fromkeys(("in", "inch", "inches", "zoll", "pouce", "pouces", "pollici", "pulgadas"), 25.4)
+    | {"dm": 100.0}
     | dict.fromkeys(("mil", "mils", "thou"), 0.0254)
     | dict.fromkeys(("uin", "µin", "μin", "uinch", "µinch", "μinch", "microinch", "microinches"), 25.4e-6)
     | {f"{share}mm": 10.0**-n for n, share in enumerate(_SHARES, 1)}

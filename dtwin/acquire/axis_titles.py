@@ -9,11 +9,13 @@ from pathlib import Path
 from dtwin.acquire.foreign_columns import is_number
 from dtwin.errors import InputError
 
-_AXIS = r"(?:axis|achse|axe|asse|eje)"
+_AXIS = r"(?:(?:mess)?(?:axis|achse)|axe|asse|eje)"
 _TITLE = re.compile(
     rf"(?:{_AXIS}[\s.:_#-]*([xyzabcuvw]\d?|\d)|([xyzabcuvw]\d?|\d)[\s._-]*{_AXIS})(?:[\s,:;(-].*)?", re.I
 )
 _WITHIN = re.compile(rf"(?<!\w)(?:{_AXIS}[\s.:_#-]*([xyzabcuvw]\d?)|([xyzabcuvw]\d?)[\s._-]*{_AXIS})(?!\w)", re.I)
+_IN_HEAD = re.compile(r"(?<![^\W_])[xyz](?![^\W_])(?=.*[a-z]{2})|(?<=\w )[xyz](?![^\W_])", re.I)
+"""Beside other words of a head."""
 AXIS_OF_ROW = re.compile(rf"{_AXIS}|coordinate|koordinate|component|komponente", re.I)
 """Head of a column that says of which axis a row is."""
 _MOST_TITLES = 20
@@ -38,9 +40,13 @@ def axis_of(title: str, *, bare: bool = False) -> str:
 
 
 def axes_named(rows: Sequence[Sequence[str]]) -> list[str]:
-    """Return the axis that titles of one cell name within other words, ``Y`` of ``Accuracy of the Y axis``; none where they name several."""
-    titles = [row[0] for row in rows if row and not any(cell.strip() for cell in row[1:])]
+    """Return the axis that titles name within other words, ``Y`` of ``Accuracy of the Y axis``, or in a cell of its own, ``Axis;Y``, and else that of all heads that name one, ``Y fwd 1 [µm]``; none where they name several."""
+    cells = [[cell.strip() for cell in row if cell.strip()] for row in rows]
+    titles = [told[0] for told in cells if len(told) == 1]
+    titles += [" ".join(told) for told in cells if len(told) == 2 and _BARE.fullmatch(told[1])]
+    heads = [cell for told in cells if len(told) > 2 and not any(map(is_number, told)) for cell in told]
     told = {(m[1] or m[2]).upper() for title in titles for m in _WITHIN.finditer(title)}
+    told = told or {m[0].upper() for head in heads for m in _IN_HEAD.finditer(head)}
     return sorted(told) if len(told) == 1 else []
 
 

@@ -91,8 +91,11 @@ _OF_WHICH = re.compile(
     re.I,
 )
 """Head of a column that says of which machine, or with which tool, a row is."""
+_INWARD = r"inwards?|inside|smaller( radius)?|(nach )?innen|kleiner\w*( radius)?"
 REVERSED = re.compile(
-    r"(nominale?|target|command(ed)?|soll\w*|ziel|cible|consigne|objetivo|obiettivo|theor\w+|指令|目標)\s*([-\u2212\u2013]|minus|moins|meno|menos)\s*(actual|measured|ist|mesur|misur|medid|real|réel|reading|測定|実測)(?!\w*[\s-]*(vergleich|abgleich|compar))",
+    r"(nominale?|target|command(ed)?|cmd|demand(ed)?|set ?point|soll\w*|ziel|cible|consigne|objetivo|obiettivo|theor\w+|指令|目標)\s*([-\u2212\u2013]|minus|moins|meno|menos)\s*(act(ual)?\b|meas(ured)?\b|ist|mesur|misur|medid|real|réel|reading|測定|実測)(?!\w*[\s-]*(vergleich|abgleich|compar))"
+    rf"|({_INWARD})\W*(is|are|ist|=)?\W*positiv|positiv\w*\W*(is|means|ist|bedeutet|=)?\W*({_INWARD})"
+    r"|\b(sign|vorzeichen)(?![^\W_])\W*(convention\W*)?(is |ist )?(invert|revers|negat|opposite|flipped|umgekehrt|gedreht)|(?<![^\W_])(inverted|invertiert|negated)(?![^\W_])",
     re.I,
 )
 """Title or head of errors whose sign is the opposite of everywhere else."""

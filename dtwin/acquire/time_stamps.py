@@ -11,6 +11,7 @@ from datetime import datetime, timedelta
 import numpy as np
 
 from dtwin.acquire.foreign_columns import columns_of, in_english, is_number
+from dtwin.acquire.xmlsafe import number_or_none
 from dtwin.errors import InputError
 from dtwin.local_time import was_set
 from dtwin.schema import Floats
@@ -179,8 +180,8 @@ def numbers_of(cells: Sequence[str]) -> Floats:
     """Return cells as numbers, NaN where one is none."""
     out = np.full(len(cells), np.nan)
     for i, cell in enumerate(cells):
-        with suppress(ValueError):
-            out[i] = float(cell)
+        if (value := number_or_none(cell)) is not None:
+            out[i] = value
     return out
 
 

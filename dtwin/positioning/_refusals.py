@@ -31,9 +31,9 @@ from dtwin.positioning.table_heads import (
     plain_unit,
     told_unit,
 )
-from dtwin.positioning.ways import FROM_SIGN, Scale
+from dtwin.positioning.ways import FROM_SIGN, LENGTHS, Scale
 from dtwin.schema import Floats
-from dtwin.units import shown_number
+from dtwin.units import shown_number, with_shares
 
 # An axis that stops at targets, and is read there, takes longer from one to the next.
 _FASTEST_S, _FEWEST_ROWS = 0.2, 20
@@ -45,8 +45,15 @@ _TURNED_TITLE = re.compile(
     r"\W*(error\s+)?(correction|compensation|korrektur|kompensations?)\s*-?\s*(table|values?|tabelle|werte?)\b", re.I
 )
 """Title of a table of corrections."""
-_UNIT_NAMED = re.compile(r"\b(inch(es)?|zoll|pouces?|pollici|pulgadas?|imperial)\b|(?<=[(\[])in(?=[)\]])", re.I)
+_UNIT_NAMED = re.compile(
+    r"\b(inch(es)?|zoll|pouces?|pollici|pulgadas?|imperial|(tenth|hundredth)mm)\b|(?<=[(\[])in(?=[)\]])", re.I
+)
 """Of a title that tells the unit of a table beside other words."""
+_OTHER_UNIT = re.compile(
+    r"(?<![^\W_])(counts?|steps?|pulses?|impulse|inkr\w*|schritte?|turns|umdr\w*|ft|feet|volts?|km|mm\s*/\s*10+)(?![^\W_])",
+    re.I,
+)
+"""Units, in a head without one that is known, in which no axis is measured here."""
 _ALIKE, _TIMES = 0.1, (1000.0, 1e-3, 25.4, 1.0 / 25.4, 10.0, 0.1, 100.0, 0.01)
 """Of deviations, by which they may differ from positions minus targets; and of how many times these they may be, in another unit."""
 _DIAMETER = re.compile(r"[Ø\u2300\u2205]|\bdia\b|diam|di[aá]metro|durchm|直径|直徑", re.I)
@@ -70,7 +77,8 @@ def require_stops(t_s: Floats | None, path: Path) -> None:
 
 def require_positioning(rows: Sequence[Sequence[str]], path: Path) -> None:
     """Refuse a table whose title or heads say that it is of another test along an axis."""
-    titles = [row[0] for row in rows[:MOST_TITLES] if row and not any(cell.strip() for cell in row[1:])]
+    cells = ([cell.strip() for cell in row if cell.strip()] for row in rows[:MOST_TITLES])
+    titles = [": ".join(told) for told in cells if 0 < len(told) <= 2]
     heads = [*(table_of(rows) or [()])[0]]
     other = next((text.strip() for text in (*titles, *heads) if OTHER_TEST.search(text)), None)
     if opposite := next((t for t in titles if REVERSED.search(t) or _TURNED_TITLE.match(t)), ""):
@@ -278,6 +286,28 @@ def require_sign(titles: Sequence[str], path: Path) -> None:
         raise _of_other_sign(opposite, path)
 
 
+def factor_of(head: str, below: str, path: Path, scale: Scale) -> float:
+    """Return how many of the scale's unit one of a column is; refuse a unit that is not known, and deviations without one.
+
+    ``below``: the unit as the row below the heads tells it.
+    """
+    require_sign([head], path)
+    unit = plain_unit(told_unit(head, below))
+    if scale.turn and unit in LENGTHS.units:
+        raise of_other_unit(scale, path, f"{head.strip()} {below.strip()}".strip()[:60])
+    factor, bare = scale.factor(unit), not unit and is_deviation(head)
+    if not factor > 0.0 or bare or (not unit and _OTHER_UNIT.search(head)):
+        raise InputError(
+            "deviations do not say their unit" if bare else "a column is in a unit that is not known",
+            code="position_table.unit",
+            where=str(path),
+            got=f"{head.strip()} {below.strip()}".strip().removeprefix(NAMED)[:60],
+            allowed=scale.allowed,
+            hint=f"write the unit into the head, such as: deviation forward 1 [{scale.fine}]",
+        )
+    return factor
+
+
 def _of_other_sign(got: str, path: Path) -> InputError:
     return InputError(
         "a column holds corrections or nominal minus actual: its sign is not that of a deviation",
@@ -306,7 +336,7 @@ def require_unit_of_heads(
 ) -> None:
     """Refuse a table whose heads tell no unit, and whose title tells another than that of targets: of which columns it is, nobody knows."""
     titles = (" ".join(row) for row in rows[:MOST_TITLES] if sum(map(bool, row)) <= 2)
-    named = (_UNIT_NAMED.search(title) for title in titles)
+    named = (_UNIT_NAMED.search(with_shares(title)) for title in titles)
     unit = unit_of_titles(rows[:MOST_TITLES]) or next((match[0] for match in named if match), "")
     heads = any(told_unit(cell, "") or is_unit(cell) for row in table[:2] for cell in row)
     if unit and not heads and (not is_unit(unit) or scale.factor(plain_unit(unit)) != 1.0):

@@ -6,8 +6,7 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
-import numpy as np
-
+from dtwin.acquire.xmlsafe import number_or_none
 from dtwin.errors import InputError
 from dtwin.positioning.ways import Scale
 
@@ -55,11 +54,8 @@ def assigned_readings(text: str, path: Path, scale: Scale) -> list[Reading]:
 
 def number_of(cell: str, where: str) -> float:
     """Return a number that a cell holds; refuse what is none."""
-    try:
-        value = float(cell)
-    except ValueError:
-        value = float("nan")
-    if not np.isfinite(value) or abs(value) > 1e9:
+    value = number_or_none(cell)
+    if value is None or abs(value) > 1e9:
         raise InputError(
             "not a number",
             code="position_table.number",

@@ -119,7 +119,25 @@ def judge_positioning_campaign(runs: Sequence[Run], scale: Scale = LENGTHS) -> l
     unknown = [test for test, alike in zip(tests, of_axes, strict=True) if not _read_backwards(alike, scale)]
     turned = [finding for test in unknown if (finding := _turned(test)) is not None]
     drift = [finding for alike in of_axes for finding in _drift(alike, scale)]
-    return [*single, *clipped, *equal, *turned, *(told or drift), *datum, *zeroed]
+    short = [finding for test, alike in zip(tests, of_axes, strict=True) for finding in _ended_early(test, alike)]
+    return [*single, *short, *clipped, *equal, *turned, *(told or drift), *datum, *zeroed]
+
+
+def _ended_early(test: LinearTest, runs: Sequence[Run]) -> Iterator[Finding]:
+    """Yield what runs that read a part of the travel do to the figures, which are of the targets that all runs read."""
+    scale = test.scale
+    targets = {run.meta.run_id: _targets_of(run.samples[scale.position]) for run in runs}
+    most = max(map(len, targets.values()))
+    short = [name for name, own in targets.items() if len(own) < most]
+    if test.left_out and short and len(test.position_mm) and most > len(test.position_mm):
+        yield Finding(
+            f"{scale.kind}.ended_early",
+            "warning",
+            f"{len(short)} of {len(targets)} runs read a part of the travel: all figures are of {len(test.position_mm)} of {most} targets, "
+            f"from {test.position_mm[0]:z.6g} to {test.position_mm[-1]:z.6g} {scale.unit}; "
+            f"leave {', '.join(short[:3])} out, or measure to the end",
+            {"targets_1": float(len(test.position_mm))},
+        )
 
 
 def tests_by_axis(runs: Sequence[Run], scale: Scale) -> list[LinearTest]:

@@ -32,13 +32,13 @@ from dtwin.acquire.spreadsheet import first_text, has_other_axes, table_bytes
 from dtwin.acquire.table_dialect import SUMMARY, decoded, remarks_of, rows_of
 from dtwin.acquire.time_stamps import clock_of, newest_first
 from dtwin.acquire.xmlsafe import number_or_none
-from dtwin.errors import InputError
 from dtwin.positioning._angles import angles_as_targets, names_angles, of_angles, tells_angles, with_degrees
 from dtwin.positioning._one_place import joined_targets, one_place, probings_of, trials_of, with_joined_targets
 from dtwin.positioning._one_state import require_one_state
 from dtwin.positioning._plain_table import rows_of_axis, table_of, told_apart
 from dtwin.positioning._refusals import (
     LITTLE,
+    factor_of,
     of_other_unit,
     require_counted,
     require_cycles,
@@ -47,7 +47,6 @@ from dtwin.positioning._refusals import (
     require_not_exchanged,
     require_one_axis,
     require_positioning,
-    require_sign,
     require_stops,
     require_unit_of,
     require_unit_of_heads,
@@ -66,20 +65,17 @@ from dtwin.positioning.table_heads import (
     AXIS,
     MISSING,
     MOST_TITLES,
-    NAMED,
     TURNS,
     Long,
     Wide,
     axes_beside,
     deviation_of,
-    is_deviation,
     is_length,
     is_row_of_units,
     long_of,
     names_no_direction,
     names_target,
     other_targets,
-    plain_unit,
     told_unit,
     wide_of,
 )
@@ -273,7 +269,9 @@ def _from_wide(rows: Sequence[Sequence[str]], wide: Wide, path: Path, scale: Sca
     wide = replace(wide, cycle=_not_counting(wide.cycle, wide.target, body))
     require_counted(heads, wide, path)
     read = {wide.target, *(i for i, _, _ in wide.cells)}
-    factor = {i: _factor(heads[i], units[i] if units is not None and i < len(units) else "", path, scale) for i in read}
+    factor = {
+        i: factor_of(heads[i], units[i] if units is not None and i < len(units) else "", path, scale) for i in read
+    }
     again = other_targets(heads, wide.target)
     out = []
     seen: Counter[float] = Counter()
@@ -307,7 +305,10 @@ def _from_long(rows: Sequence[Sequence[str]], long: Long, path: Path, scale: Sca
         body = body[::-1]
     long = replace(long, cycle=_not_counting(long.cycle, long.target, body))
     below = [units[i] if units is not None and i < len(units) else "" for i in (long.target, long.value)]
-    factors = (_factor(heads[long.target], below[0], path, scale), _factor(heads[long.value], below[1], path, scale))
+    factors = (
+        factor_of(heads[long.target], below[0], path, scale),
+        factor_of(heads[long.value], below[1], path, scale),
+    )
     numbered = [(f"{path}, row {number} below the heads", row) for number, row in enumerate(body, start=1)]
     targets = [number_in(row, long.target, where) * factors[0] for where, row in numbered]
     said, read = ([row[i].strip() for row in body if i < len(row)] for i in (long.target, long.value))
@@ -372,25 +373,6 @@ def _tells_units(table: Sequence[Sequence[str]]) -> bool:
     read = [wide.target, *(i for i, _, _ in wide.cells)] if wide else [long.target, long.value] if long else []
     units = below if is_row_of_units(below, read[0]) else ()
     return all(told_unit(heads[i], units[i] if i < len(units) else "") for i in read)
-
-
-def _factor(head: str, below: str, path: Path, scale: Scale) -> float:
-    """Return how many of the scale's unit one of a column is; refuse a unit that is not known, and deviations without one."""
-    require_sign([head], path)
-    unit = plain_unit(told_unit(head, below))
-    if scale.turn and unit in LENGTHS.units:
-        raise of_other_unit(scale, path, f"{head.strip()} {below.strip()}".strip()[:60])
-    factor = scale.factor(unit)
-    if not factor > 0.0 or (not unit and is_deviation(head)):
-        raise InputError(
-            "a column is in a unit that is not known" if unit else "deviations do not say their unit",
-            code="position_table.unit",
-            where=str(path),
-            got=f"{head.strip()} {below.strip()}".strip().removeprefix(NAMED)[:60],
-            allowed=scale.allowed,
-            hint=f"write the unit into the head, such as: deviation forward 1 [{scale.fine}]",
-        )
-    return factor
 
 
 def _cycle(row: Sequence[str], i: int, where: str) -> int:

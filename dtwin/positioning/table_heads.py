@@ -64,7 +64,7 @@ _CORRECTION = re.compile(
     r"(correction|compensation|korrektur|kompensation)\b|(?<![^\W_])(corr|comp|korr|komp)(?![^\W_])", re.I
 )
 _NOT_READ = re.compile(
-    r"toleran[cz]|\blimit|grenz(e|wert)|allow|zul[äa]ssig|permi(tted|ssible)|uncertaint|unsicherheit|±|following|schlepp|predict|expect|vorhers|nominal[\s_]+(err|dev|abw|fehl)|\bcode\b|standard.?(dev|abw)",
+    r"toleran[cz]|\blimit|grenz(e|wert)|allow|zul[äa]ssig|permi(tted|ssible)|uncertaint|unsicherheit|±|following|schlepp|predict|expect|vorhers|simulat|smooth|gegl[äa]tt|\brms\b|squared|increment|(?<![^\W_])(abs|yaw|roll)(?![^\W_])|^\||nominal[\s_]+(err|dev|abw|fehl)|\bcode\b|standard.?(dev|abw)",
     re.I,
 )
 """What a head says of errors that are no readings of the axis' place."""

@@ -38,6 +38,7 @@ from dtwin.acquire.repeated_heads import counts_repeats, require_heads_for_all
 from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
 from dtwin.acquire.spreadsheet import first_text, table_bytes
 from dtwin.acquire.table_dialect import decoded, remarks_of, rows_of
+from dtwin.acquire.xmlsafe import number_or_none
 from dtwin.errors import InputError
 from dtwin.kinds.circular._circle_ways import (
     bare,
@@ -75,7 +76,7 @@ _TIME = re.compile(r"^(t|time|zeit)$", re.I)
 _RADIUS = re.compile(r"^(actual |measured )?(radius|r|istradius)( (actual|measured|ist))?$", re.I)
 _BESIDE = re.compile(
     r"angle|winkel|phi|theta|time|zeit|temp|luft|\bair|feed|vorschub|speed|mean|avg|average|mittel|fit|std|sigma|min|max|median"
-    r"|tangential|command|cmd|nominal|\bsoll|predict|expect|vorhers|reference|referenz|ideal|limit|toleran|grenz|uncertaint|unsicher"
+    r"|tangential|command|cmd|nominal|\bsoll|predict|expect|vorhers|simulat|smooth|gegl[äa]tt|(?<![^\W_])(corr|comp|korr|komp|abs)(?![^\W_])|reference|referenz|ideal|limit|toleran|grenz|uncertaint|unsicher"
     r"|diam|durchm|[ø⌀]"
     r"|^(?!.*(dev|err|abw|fehler)).*(correction|compensation|korrektur|kompensation|radius)\b",
     re.I,
@@ -278,10 +279,8 @@ def _numbers(body: Sequence[Sequence[str]], i: int, column: Column, *, as_it_is:
     """
     values = np.full(len(body), np.nan)
     for n, row in enumerate(body):
-        try:
-            values[n] = float(row[i])
-        except (ValueError, IndexError):
-            continue
+        if i < len(row) and (value := number_or_none(row[i])) is not None:
+            values[n] = value
     values[~(np.abs(values) < 1e9)] = np.nan
     scaled = column.factor * (values - column.zero)
     if as_it_is:

@@ -47,6 +47,20 @@ _PLANE_ABOVE = re.compile(
     rf"\b(?:{_PLANE})\b\W*(?:is\s+)?([xyz])\W?([xyz])\b|(?<!\w)([xyz])\W?([xyz])[\s-]*(?:{_PLANE})\b|\b(g1[789])\b",
     re.I,
 )
+_PLANE_IN_HEAD = re.compile(r"(?<![^\W_])(xy|xz|yz|zx|yx|zy)(?![^\W_])", re.I)
+_DIAMETER_ABOVE = re.compile(
+    rf"(?:\bcircle |\bpath |\bnominal |^\W*|\bkreis-?|\bnenn|\bsoll)(?:diameter|durchmesser)\W*{_NUMBER}\s*mm\b", re.I
+)
+_ZERO = re.compile(
+    r"(?:\b0\s*(?:°|deg\b|grad\b)?|\b(?:null|zero|angles?|winkel))\s*(?:=|is\b|ist\b|at\b|bei\b|auf\b|from\b|von\b|ab\b)\s*([+-\u2212]?)\s*([xyz])\b",
+    re.I,
+)
+"""Where a title says that angles begin."""
+_WITH_CLOCK = re.compile(
+    r"\b(?:angles?|winkel)\b[^,;]*\b(?:counted|gez[äa]hlt|positiv\w*|increas\w*|clockwise from)\b(?![^,;]*(?:counter|anti|gegen|against))[^,;]*(?:clock|uhrzeigersinn|[xyz]\b)",
+    re.I,
+)
+"""A title of angles that run with the clock."""
 _OF_CODE = {"G17": "XY", "G18": "ZX", "G19": "YZ"}
 _SAME = 0.01
 _SLOWEST_MM_MIN = 50.0
@@ -105,6 +119,17 @@ def require_as_titled(above: Sequence[Sequence[str]], stated: Mapping[str, Any],
         named = "".join(filter(None, plane.groups())).upper()
         if set(_OF_CODE.get(named, named)) != set(told):
             raise _titled(plane[0], f"plane {told}", path)
+    named_planes = [match[0] for match in _PLANE_IN_HEAD.finditer(" ".join(titles))] if told else []
+    if named_planes and all(set(name.upper()) != set(told) for name in named_planes):
+        raise _titled(named_planes[0], f"plane {told}", path)
+    diameter, radius = found(_DIAMETER_ABOVE), stated.get("radius_mm")
+    if diameter is not None and radius and abs(_value("", diameter[1], "") / 2.0 - radius) > _SAME * radius:
+        raise _titled(diameter[0], f"radius_mm {radius:g}", path)
+    zero, turned = found(_ZERO), found(_WITH_CLOCK)
+    if zero is not None and told and (zero[1] not in ("", "+") or zero[2].upper() != told[0]):
+        raise _titled(zero[0], f"angles from +{told[0]} towards +{told[1]}", path)
+    if turned is not None:
+        raise _titled(turned[0], "angles against the clock, from the plane's first axis towards its second", path)
 
 
 def told_by_table(

@@ -172,6 +172,7 @@ def test_a_control_that_stands_before_and_after_its_circle_is_no_stuck_sensor(tm
         (table("angle [grad],radius [mm]", ANGLE, ANGLE * 0.0 + 150.0), {}, "1/400 of a turn"),
         (table("x_mm,y_mm", ANGLE[:20], ANGLE[:20]), {}, "20 rows"),
         (table("cycle,angle_deg,deviation_um", ANGLE, ANGLE * np.nan, ANGLE), {}, "720 rows"),
+        (table("angle [deg],ccw simulated [µm]", ANGLE, ANGLE), {}, "simulated"),
     ],
 )
 def test_what_does_not_fit_is_refused_with_its_place(tmp_path: Path, text: str, told: dict[str, Any], got: str) -> None:
@@ -457,6 +458,8 @@ def test_a_column_that_counts_runs_parts_them(tmp_path: Path, head: str) -> None
     [
         "angle [deg],ccw Soll-Ist [µm]",
         "nominal - actual\nangle [deg],ccw [µm]",
+        "positive = smaller radius\nangle [deg],ccw [µm]",
+        "Vorzeichen: invertiert\nangle [deg],ccw [µm]",
         "Soll - Ist\nangle [deg],deviation [µm]",
     ],
 )
@@ -502,13 +505,14 @@ def test_what_a_control_commanded_beside_its_coordinates_is_not_used(tmp_path: P
             "Vorschub;2000 mm/min",
             "Feed: 2 m/min",
         ),
-        *("Feed;2000;mm/min", "Plane: YZ", "ZX-Ebene", "G18 plane"),
+        *("Feed;2000;mm/min", "Plane: YZ", "ZX-Ebene", "G18 plane", "YZ circle", "Kreisdurchmesser: 150 mm"),
+        *("0° = +Y", "Angles counted clockwise", "Winkel ab Y, im Uhrzeigersinn"),
         *("Nennradius (mm);50,000", "Länge der Kugelstange: 50 mm", "Vorschub F: 2 m/min", "# radius 50 mm"),
     ],
 )
 def test_a_condition_that_the_titles_tell_otherwise_is_refused(tmp_path: Path, title: str) -> None:
     text = table("angle [deg],ccw [µm]", ANGLE, error_um(ANGLE, 1.0)).replace(",", ";")
-    right = "Radius: 150,0 mm, Vorschub: 1000 mm/min, R=150, plane Y-X"
+    right = "Radius: 150,0 mm, Vorschub: 1000 mm/min, R=150, plane Y-X, 0° = X, angles counted counterclockwise"
     (run,) = read(tmp_path / "a.csv", f"{right}\n{text}")
     assert run.meta.direction == "CCW"
     with pytest.raises(InputError, match="another condition"):

@@ -191,6 +191,12 @@ def by_cycle() -> str:
             for i, t in enumerate(TARGETS)
             for way, values in (("+", FORWARD), ("-", REVERSE))
         ),
+        "Soll Zoll;Richtung;dev 1 [µm];dev 2 [µm]\n"
+        + "\n".join(
+            f"{t / 25.4:.15g};{way};{values[i, 0]};{values[i, 1]}"
+            for i, t in enumerate(TARGETS)
+            for way, values in (("+", FORWARD), ("-", REVERSE))
+        ),
         "target;direction;dev 1;dev 2\nµm;;mm;mm\n"
         + "\n".join(
             f"{1000 * t:g};{way};{values[i, 0] / 1000};{values[i, 1] / 1000}"
@@ -758,6 +764,14 @@ def test_readings_above_the_first_title_of_a_direction_are_not_dropped(tmp_path:
         ("Target [mm],corr fwd 1 [µm],corr rev 1 [µm]\n0,1,2\n9,2,3", "position_table.sign"),
         ("Target [mm],torque fwd 1 [Nm],torque rev 1 [Nm]\n0,1,2\n9,2,3", "position_table.unit"),
         ("Target,fwd 1,rev 1\nmm,Nm,Nm\n0,1,2\n9,2,3", "position_table.unit"),
+        ("Soll counts;hin 1;rück 1\n0;1;2\n9;10;11", "position_table.unit"),
+        ("Alle Werte in 1/100 mm\nSoll;hin 1;rück 1\n0;1;2\n9;10;11", "position_table.unit"),
+        ("Achse;Y\nSoll [mm];hin 1 [µm];rück 1 [µm]\n0;1;2\n9;2;3", "position_table.axes"),
+        ("Soll Y [mm];hin 1 [µm];rück 1 [µm]\n0;1;2\n9;2;3", "position_table.axes"),
+        ("Vorzeichen;invertiert\nSoll [mm];hin 1 [µm];rück 1 [µm]\n0;1;2\n9;2;3", "position_table.sign"),
+        ("Target [mm],cmd-act fwd 1 [µm],cmd-act rev 1 [µm]\n0,1,2\n9,2,3", "position_table.sign"),
+        ("Target [mm],|fwd 1| [µm],|rev 1| [µm]\n0,1,2\n9,2,3", "position_table.form"),
+        ("Target [mm],fwd 1 [µm],rev 1 [µm]\n0,1_5,2\n9,2,3", "position_table.number"),
         # The targets stand below heads of directions, and what was measured below ones of positions.
         (
             "Andata: target [mm],Posizione misurata 1 [mm],Ritorno: target [mm],Posizione misurata 1 [mm]\n0,1,0,2\n9,10,9,11",

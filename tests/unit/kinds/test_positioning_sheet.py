@@ -9,7 +9,9 @@ import pytest
 
 from dtwin.kinds.linear._report import positioning_lines, positioning_result
 from dtwin.kinds.registry import kind_named
+from dtwin.positioning.check import judge_positioning_campaign
 from dtwin.positioning.sheet import positioning_figure
+from dtwin.report.language import _german_of
 from dtwin.report.sheet import Sheet, judged
 from dtwin.report.uncertainty import Circumstances
 from dtwin.schema import Finding, Run, RunMeta
@@ -109,6 +111,17 @@ def test_what_the_standard_asks_for_is_said(runs: int, targets: np.ndarray, said
     notes = " ".join(n for n in sheet_of(sweeps(runs, targets)).notes if "would be" not in n)
     assert said in notes
     assert bool(said) == bool(notes)
+
+
+def test_a_run_that_ends_early_is_told_before_figures_of_a_part_of_the_travel() -> None:
+    runs = sweeps(5, np.arange(0.0, 501.0, 50.0))
+    runs[4] = replace(runs[4], samples=sweeps(1, np.arange(0.0, 201.0, 50.0))[0].samples)
+    (found,) = (f for f in judge_positioning_campaign(runs) if f.code == "linear.ended_early")
+    assert (
+        "1 of 5 runs read a part of the travel: all figures are of 5 of 11 targets, from 0 to 200 mm" in found.message
+    )
+    assert _german_of(found.message, str) is not None
+    assert "linear.ended_early" not in {f.code for f in judge_positioning_campaign(runs[:4])}
 
 
 def test_the_uncertainty_of_one_direction_covers_its_mean_figure() -> None:
