@@ -56,7 +56,8 @@ LENGTHS_MM = (
     {"m": 1000.0, "cm": 10.0, "mm": 1.0, "nm": 1e-6}
     | dict.fromkeys(("um", "µm", "μm", "micron", "microns", "micrometer", "micrometers", "mikrometer"), 1e-3)
     | dict.fromkeys(("µ", "μ", "mikron"), 1e-3)
-    | dict.fromkeys(("millimeter", "millimeters"), 1.0)
+    | dict.fromkeys(("millimeter", "millimeters", "millimetre", "millimetres"), 1.0)
+    | dict.fromkeys(("meter", "meters", "metre", "metres"), 1000.0)
     | dict.fromkeys(("in", "inch", "inches", "zoll", "pouce", "pouces", "pollici", "pulgadas"), 25.4)
     | {"dm": 100.0}
     | dict.fromkeys(("mil", "mils", "thou"), 0.0254)

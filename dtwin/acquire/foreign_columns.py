@@ -91,17 +91,8 @@ _OF_WHICH = re.compile(
     re.I,
 )
 """Head of a column that says of which machine, or with which tool, a row is."""
-_INWARD = r"inwards?|inside|smaller( radius)?|(nach )?innen|kleiner\w*( radius)?"
-REVERSED = re.compile(
-    r"(nominale?|target|command(ed)?|cmd|demand(ed)?|set ?point|soll\w*|ziel|cible|consigne|objetivo|obiettivo|theor\w+|指令|目標)\s*([-\u2212\u2013]|minus|moins|meno|menos)\s*(act(ual)?\b|meas(ured)?\b|ist|mesur|misur|medid|real|réel|reading|測定|実測)(?!\w*[\s-]*(vergleich|abgleich|compar))"
-    rf"|({_INWARD})\W*(is|are|ist|=)?\W*positiv|positiv\w*\W*(is|means|ist|bedeutet|=)?\W*({_INWARD})"
-    r"|\b(sign|vorzeichen)(?![^\W_])\W*(convention\W*)?(is |ist )?(invert|revers|negat|opposite|flipped|umgekehrt|gedreht)|(?<![^\W_])(inverted|invertiert|negated)(?![^\W_])",
-    re.I,
-)
-"""Title or head of errors whose sign is the opposite of everywhere else."""
 PROBES = r"probe|sensor|capteur|palpeur|sonde|(mess)?taster|messuhr|gauge|lvdt|kanal|channel|ch(?=[ _.]?\d)"
 """Words of a head that name what reads a displacement."""
-_UNIT_ABOVE = re.compile(r"(?:units?|einheit(?:en)?|unités?|unità|unidad(?:es)?|単位|单位)\W*(\S+)", re.I)
 _ENGLISH = tuple(
     (english, re.compile(words, re.I))
     for english, words in (
@@ -176,12 +167,6 @@ def header_row(rows: Sequence[Sequence[str]], path: Path) -> int:
     )
 
 
-def unit_of_titles(rows: Sequence[Sequence[str]]) -> str:
-    """Return the unit that a title such as ``Unit: inch`` tells of what is below; empty where none does."""
-    told = (_UNIT_ABOVE.fullmatch(" ".join(cell.strip() for cell in row if cell.strip())) for row in rows)
-    return next((match[1] for match in told if match is not None), "")
-
-
 def joined_heads(rows: Sequence[Sequence[str]], path: Path) -> list[Sequence[str]]:
     """Return the rows of a table with one row of heads where they stand in two, as under merged cells; other rows as they are.
 
@@ -250,20 +235,6 @@ def require_one_of(
                 allowed="one",
                 hint="a file for each",
             )
-
-
-def require_usual_sign(rows: Sequence[Sequence[str]], path: Path) -> None:
-    """Refuse titles and heads which say that errors are nominal minus actual."""
-    opposite = next((text for row in rows if REVERSED.search(text := " ".join(row).strip())), "")
-    if opposite:
-        raise InputError(
-            "errors are target minus actual: their sign is the opposite of everywhere else",
-            code="table.sign",
-            where=str(path),
-            got=opposite[:60],
-            allowed="actual minus target",
-            hint="change the sign of the errors, and say so in the title",
-        )
 
 
 def require_told_apart(columns: Sequence[Column], body: Sequence[Sequence[str]], path: Path) -> None:

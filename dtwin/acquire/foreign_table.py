@@ -23,12 +23,12 @@ from dtwin.acquire.foreign_columns import (
     joined_heads,
     require_one_table,
     require_told_apart,
-    require_usual_sign,
 )
 from dtwin.acquire.one_channel import require_one_channel
 from dtwin.acquire.repeated_heads import require_heads_for_all
 from dtwin.acquire.spreadsheet import table_bytes
 from dtwin.acquire.table_dialect import DECIMALS, decoded, encoding_of, is_comment, mark_of, remarks_of, rows_of
+from dtwin.acquire.title_words import require_usual_sign
 from dtwin.atomic import write_text
 from dtwin.config import Home
 from dtwin.errors import InputError

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from dtwin.acquire.foreign_columns import REVERSED, unit_of_titles
 from dtwin.acquire.repeated_heads import counts_repeats
+from dtwin.acquire.title_words import REVERSED, named_unit
 from dtwin.acquire.xmlsafe import number_or_none
 from dtwin.errors import InputError
 from dtwin.positioning._plain_table import table_of
@@ -33,7 +33,7 @@ from dtwin.positioning.table_heads import (
 )
 from dtwin.positioning.ways import FROM_SIGN, LENGTHS, Scale
 from dtwin.schema import Floats
-from dtwin.units import shown_number, with_shares
+from dtwin.units import shown_number
 
 # An axis that stops at targets, and is read there, takes longer from one to the next.
 _FASTEST_S, _FEWEST_ROWS = 0.2, 20
@@ -45,10 +45,6 @@ _TURNED_TITLE = re.compile(
     r"\W*(error\s+)?(correction|compensation|korrektur|kompensations?)\s*-?\s*(table|values?|tabelle|werte?)\b", re.I
 )
 """Title of a table of corrections."""
-_UNIT_NAMED = re.compile(
-    r"\b(inch(es)?|zoll|pouces?|pollici|pulgadas?|imperial|(tenth|hundredth)mm)\b|(?<=[(\[])in(?=[)\]])", re.I
-)
-"""Of a title that tells the unit of a table beside other words."""
 _OTHER_UNIT = re.compile(
     r"(?<![^\W_])(counts?|steps?|pulses?|impulse|inkr\w*|schritte?|turns|umdr\w*|ft|feet|volts?|km|mm\s*/\s*10+)(?![^\W_])",
     re.I,
@@ -335,9 +331,7 @@ def require_unit_of_heads(
     scale: Scale, rows: Sequence[Sequence[str]], table: Sequence[Sequence[str]], path: Path
 ) -> None:
     """Refuse a table whose heads tell no unit, and whose title tells another than that of targets: of which columns it is, nobody knows."""
-    titles = (" ".join(row) for row in rows[:MOST_TITLES] if sum(map(bool, row)) <= 2)
-    named = (_UNIT_NAMED.search(with_shares(title)) for title in titles)
-    unit = unit_of_titles(rows[:MOST_TITLES]) or next((match[0] for match in named if match), "")
+    unit = named_unit(rows[:MOST_TITLES])
     heads = any(told_unit(cell, "") or is_unit(cell) for row in table[:2] for cell in row)
     if unit and not heads and (not is_unit(unit) or scale.factor(plain_unit(unit)) != 1.0):
         raise InputError(

@@ -8,8 +8,9 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from dtwin.acquire.foreign_columns import REVERSED, is_number
+from dtwin.acquire.foreign_columns import is_number
 from dtwin.acquire.table_dialect import STATISTICS
+from dtwin.acquire.title_words import REVERSED
 from dtwin.positioning.matrix import names_sense
 from dtwin.positioning.ways import IN_BRACKETS, SIGNS, Scale, way_of
 from dtwin.units import ANGLES_DEG, LENGTHS_MM, with_shares

@@ -31,13 +31,13 @@ from dtwin.acquire.foreign_columns import (
     header_row,
     joined_heads,
     require_one_table,
-    require_usual_sign,
 )
 from dtwin.acquire.one_channel import require_one_channel
 from dtwin.acquire.repeated_heads import counts_repeats, require_heads_for_all
 from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
 from dtwin.acquire.spreadsheet import first_text, table_bytes
 from dtwin.acquire.table_dialect import decoded, remarks_of, rows_of
+from dtwin.acquire.title_words import require_usual_sign
 from dtwin.acquire.xmlsafe import number_or_none
 from dtwin.errors import InputError
 from dtwin.kinds.circular._circle_ways import (

@@ -24,7 +24,6 @@ from dtwin.acquire.foreign_columns import (
     in_english,
     joined_heads,
     require_one_table,
-    require_usual_sign,
 )
 from dtwin.acquire.one_channel import require_one_channel
 from dtwin.acquire.repeated_heads import require_one_block
@@ -32,6 +31,7 @@ from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
 from dtwin.acquire.spreadsheet import first_rows, table_bytes
 from dtwin.acquire.table_dialect import decoded, remarks_of, rows_of
 from dtwin.acquire.time_stamps import FORM, newest_first, numbers_of, of_stamps
+from dtwin.acquire.title_words import require_usual_sign
 from dtwin.acquire.xmlsafe import number_or_none
 from dtwin.errors import InputError
 from dtwin.kinds.drift._clock import at_readings, require_rising, seconds_of, when
@@ -47,6 +47,8 @@ _MOVED = re.compile(
     rf"(displacement|deviation|verlagerung|drift|{PROBES}|(delta_?|[d\u03b4])?[xyz]\d?)(_?\d+)?(_\w+)?_um", re.I
 )
 _AXIS = re.compile(r"(?:^|_)(?:delta|[d\u03b4])?([xyz])\d?(?=_)", re.I)
+_TRIGGERED = re.compile(r"trigger|(?<![a-z])pos(?![a-z])|position|antast|\bprobed\b|touch", re.I)
+"""Head of what may be places at which a probe triggers."""
 _RAW = re.compile(r"(?<![a-z])(raw|roh\w*|offset|zero)(?![a-z])", re.I)
 _TRAVEL_UM = 10_000.0
 _SPEED, _DRIFT_S = re.compile(r"speed|\brpm\b|drehzahl", re.I), 0.5
@@ -81,6 +83,7 @@ def _read_drift(path: Path, campaign: Campaign, stated: Mapping[str, Any]) -> tu
     rows = rows_of(text)
     recipe = campaign.instrument.get("columns", {})
     said, units, body = _parted(rows, path)
+    said_heads = said
     require_one_table(said, body, path)
     _require_degrees(said, units, recipe, path)
     heads, factors, zeros = _named(said, units, recipe)
@@ -168,8 +171,12 @@ def _read_drift(path: Path, campaign: Campaign, stated: Mapping[str, Any]) -> tu
     cold += standing(t_s, {name: shared[name] for name in temperatures if name in shared})
     runs, rejects = [], []
     sense(stated.get("condition", {}), str(path))
+    told_by = dict(zip(heads, said_heads, strict=True))
     for name in moved:
         scale, findings = scales[name], list(cold)
+        if _TRIGGERED.search(told_by[name]) and "reads" not in stated.get("condition", {}):
+            said = f"{told_by[name].strip()} may be positions of the machine at which a probe triggers, whose sign is the opposite of the tool's displacement: state condition.reads as position or displacement"
+            findings.append(Finding("drift.reads", "warning", said))
         if name == _STEPS:
             step, contradiction = _step_mm(path, text, campaign, stated)
             scale = 1e3 * step

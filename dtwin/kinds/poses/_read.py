@@ -16,20 +16,13 @@ from typing import Any
 import numpy as np
 
 from dtwin.acquire.campaign_folder import inside
-from dtwin.acquire.foreign_columns import (
-    below_heads,
-    in_english,
-    joined_heads,
-    require_one_of,
-    require_one_table,
-    require_usual_sign,
-    unit_of_titles,
-)
+from dtwin.acquire.foreign_columns import below_heads, in_english, joined_heads, require_one_of, require_one_table
 from dtwin.acquire.repeated_heads import require_heads, require_one_block
 from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
 from dtwin.acquire.spreadsheet import first_rows, table_bytes
 from dtwin.acquire.table_dialect import SUMMARY, decoded, remarks_of, rows_of, typed
 from dtwin.acquire.time_stamps import clock_of, numbers_of, of_stamps
+from dtwin.acquire.title_words import named_unit, require_usual_sign, unit_of_titles
 from dtwin.errors import InputError
 from dtwin.kinds.poses._axis_rows import (
     FEWEST_OF_ARM,
@@ -46,6 +39,7 @@ from dtwin.kinds.poses._axis_rows import (
 )
 from dtwin.kinds.poses._orientation import house_name, with_orientation
 from dtwin.kinds.poses._repeats import no_commanded, repeated_places, with_joints, with_tracker_heads
+from dtwin.positioning.table_heads import told_unit
 from dtwin.schema import Campaign, Finding, Floats, Run, RunMeta
 from dtwin.units import LENGTHS_MM
 
@@ -207,6 +201,24 @@ def _columns(path: Path, campaign: Campaign, *, with_log: bool = False) -> tuple
     )
     if not any(name.startswith("measured_") for name in named):
         require_usual_sign([*remarks_of(text), *rows[:_MOST_TITLES]], path)
+    bare = any(
+        name.startswith(("measured_", "target_"))
+        and name.endswith("_mm")
+        and head not in recipe
+        and not told_unit(head, "")
+        for head, name in zip(heads, named, strict=True)
+        if not units
+    )
+    titled = named_unit([*remarks_of(text), *rows[:_MOST_TITLES]]) if bare else ""
+    if titled and LENGTHS_MM.get(titled.lower()) != 1.0:
+        raise InputError(
+            "a title tells a unit, and no head says that it is in it",
+            code="poses.unit",
+            where=str(path),
+            got=titled[:40],
+            allowed="a unit in the heads; without any, places are in mm",
+            hint=f"write it into the heads, such as: target X [{titled[:20]}]",
+        )
     without = [h for h, name in zip(heads, named, strict=True) if name.startswith("error_") and name.endswith(NO_UNIT)]
     if without:
         raise InputError(

@@ -571,6 +571,19 @@ def test_a_target_beside_a_displacement_is_none(tmp_path: Path, heads: str) -> N
     assert read(path).samples["displacement_um"][-1] == pytest.approx(29.5)
 
 
+def test_places_at_which_a_probe_triggers_are_asked_for_their_sign(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    rows = [f"{60 * n},{n / 2},{20 + n / 10}" for n in range(60)]
+    for head, condition, asked in (
+        ("Z trigger [µm]", {}, True),
+        ("Z trigger [µm]", {"reads": "displacement"}, False),
+        ("Z [µm]", {}, False),
+    ):
+        path.write_text("\n".join([f"time [s],{head},T [°C]", *rows]), encoding="utf-8")
+        (run,) = _read_drift(path, Campaign("a", "m", "drift"), {"condition": condition})[0]
+        assert ("drift.reads" in {f.code for f in run.findings}) is asked
+
+
 @pytest.mark.parametrize(
     ("heads", "drift"),
     [

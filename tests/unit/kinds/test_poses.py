@@ -1013,6 +1013,15 @@ def test_german_heads_need_no_map(tmp_path: Path, commanded: str, measured: str,
     assert run.samples["measured_z_mm"] == pytest.approx(at[:, 2], abs=1e-2)
 
 
+def test_places_without_a_unit_below_a_title_of_inches_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "posen.csv"
+    rows = [f"{n};{n * n % 7};{n % 3};{n};{n * n % 7};{n % 3}" for n in range(30)]
+    for title in ("Alle Angaben in Zoll", "# all in inches", "Positions in meters"):
+        path.write_text("\n".join([title, "Soll X;Soll Y;Soll Z;Ist X;Ist Y;Ist Z", *rows]), encoding="utf-8")
+        with pytest.raises(InputError, match="title tells a unit"):
+            _read_poses(path, Campaign("c", "m", "poses"), {})
+
+
 def test_a_row_that_sums_up_the_others_is_no_reading(tmp_path: Path) -> None:
     folder = without_joints(tmp_path / "c", "position")
     heads, *rows = (folder / "poses.csv").read_text("utf-8").splitlines()
