@@ -22,6 +22,8 @@ from dtwin.units import shown_number
 _FEWEST = 100
 _MOST_SENSORS = 48
 """Beyond them the search takes hours."""
+_LARGE_UM = 3000.0
+"""More than heat moves a machine."""
 _JUMP_UM = 200.0
 _JUMPS = 50.0
 _OF_SPAN = 0.25
@@ -74,6 +76,9 @@ def judge_drift(run: Run) -> list[Finding]:
     steps = np.abs(np.diff(series.moved_um))
     usual = max(float(np.median(steps)), 1.0)
     span = float(np.subtract(*np.percentile(series.moved_um, [98.0, 2.0])))
+    if span > _LARGE_UM:
+        said = f"the displacement moves by {span / 1000.0:z.1f} mm, more than heat moves a machine: micrometres under a head of millimetres, or a position?"
+        findings.append(Finding("drift.size", "warning", said, {"span_um": span}))
     jumps = np.flatnonzero(steps > max(_JUMP_UM, _JUMPS * usual, _OF_SPAN * span))
     if jumps.size:
         said = (

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Literal
 
 import numpy as np
 
@@ -20,6 +21,8 @@ from dtwin.units import shown_number
 _FEW_TURNS = 5
 _STEADY = 0.05
 _LARGE_UM = 20e3
+_MUCH_UM = 1e3
+"""More than a turning axis runs out, unless the target sits beside it."""
 _SMALL_UM = 0.005
 _CLIPPED = 0.02
 _TURN = 360.0
@@ -89,7 +92,7 @@ def judge_rotation(run: Run) -> list[Finding]:
 
 def _judge_table(run: Run) -> Iterator[Finding]:
     speed, runout = run.samples["speed_rpm"], run.samples["runout_um"]
-    if float(runout.max()) > _LARGE_UM:
+    if float(runout.max()) > _MUCH_UM:
         yield _size(float(runout.max()), "the run-out is")
     for n in np.flatnonzero(spoilt(run)):
         said = f"{shown_number(runout[n])} µm at {speed[n]:g} rpm stands far off the other run-outs of that speed: dirt, a chip or a mistake; it is left out"
@@ -105,9 +108,16 @@ def _judge_table(run: Run) -> Iterator[Finding]:
 
 
 def _size(um: float, what: str) -> Finding:
-    unit = "a wrong unit" if um > _LARGE_UM else "millimetres under a head of micrometres, or a probe that sees nothing"
-    shown = f"{shown_number(um / 1000.0)} mm" if um > _LARGE_UM else f"{shown_number(um, 2)} µm"
-    return Finding("rotation.size", "error", f"{what} {shown}: {unit}?", {"range_um": um})
+    unit = "millimetres under a head of micrometres, or a probe that sees nothing"
+    if um > _MUCH_UM:
+        unit = (
+            "a wrong unit"
+            if um > _LARGE_UM
+            else "micrometres under a head of millimetres, or a target far off the axis"
+        )
+    shown = f"{shown_number(um / 1000.0)} mm" if um > _MUCH_UM else f"{shown_number(um, 2)} µm"
+    severity: Literal["warning", "error"] = "warning" if _MUCH_UM < um <= _LARGE_UM else "error"
+    return Finding("rotation.size", severity, f"{what} {shown}: {unit}?", {"range_um": um})
 
 
 def _judge_probe(x: Floats) -> list[Finding]:
@@ -118,13 +128,14 @@ def _judge_probe(x: Floats) -> list[Finding]:
         ]
     if wide > _LARGE_UM or wide < _SMALL_UM:
         return [_size(wide, "the readings span")]
+    much = [_size(wide, "the readings span")] if wide > _MUCH_UM else []
     # A form has few readings at its very end; a probe at the end of its range has many.
     ends = [int(np.count_nonzero(x == end)) for end in (x.min(), x.max())]
     digits = len(np.unique(x))
     if max(ends) > max(_CLIPPED * len(x), 20) and digits > 50:
         said = f"{max(ends)} readings of {len(x)} are equal, and the {'lowest' if ends[0] > ends[1] else 'highest'}: the probe was at the end of its range"
-        return [Finding("rotation.clipped", "error", said, {"readings_1": float(max(ends))})]
-    return []
+        return [*much, Finding("rotation.clipped", "error", said, {"readings_1": float(max(ends))})]
+    return much
 
 
 def _judge_turns(turns: Turns, run: Run) -> list[Finding]:

@@ -87,17 +87,19 @@ _RUNOUT = re.compile(
     r"run.?out|\btir\b|rundlauf|planlauf|\bf\.?i\.?m\b|schlag\b|faux.?rond|voile|battement|\bsalto\b|oscillazione|跳动|跳動|振れ"
 )
 _NOT_READ = re.compile(
-    r"toleran[cz]|\blimit|grenz(wert|e)\b|allow|zul[äa]ssig|permi(tted|ssible)|\bsoll|\bnominal|\bspec(ified)?\b|uncertaint|unsicherheit|\bstd|\bsigma\b|standard.?(dev|abw)"
+    r"predict|expect|simulat|toleran[cz]|\blimit|grenz(wert|e)\b|allow|zul[äa]ssig|permi(tted|ssible)|\bsoll|\bnominal|\bspec(ified)?\b|uncertaint|unsicherheit|\bstd|\bsigma\b|standard.?(dev|abw)"
 )
 """What a head says of run-outs that nobody read."""
 _COMPUTED = re.compile(
     r"predict|expect|simulat|\bideal|\bfit(ted)?\b|\b(mean|avg|average|mittel\w*)\b|residu|(?<!un)(correct|compensat|korrigiert|kompensiert)|command|amplitud"
-    r"|filter|gefiltert|filtré|filtrad|(low|high|band).?pass|(tief|hoch|band)pass|smooth|geglättet|envelope|hüllkurve|\btrend|once.per|\ba?sync|\bform\b|formfehler|\bsumm?e?\b|differ|eccentric|exzentr"
+    r"|filter|gefiltert|filtré|filtrad|(low|high|band).?pass|(tief|hoch|band)pass|smooth|geglättet|envelope|hüllkurve|\btrend|once.per|\ba?sync|\bform\b|formfehler|\bsumm?e?\b|differ|eccentric|exzentr|diamet|durchm|tangential|\bvelocity"
     r"|(?<!\w)[xyz]\d?\s*[-\u2212+/]\s*[xyz]\d?(?!\w)|\b(lsc|mic|mcc|mzc|fft)\b"
 )
 """What a head says of a displacement that no probe read."""
 _POSITION, _OF_POSITIONS = re.compile(r"\bpos(ition)?\b"), ("mm", "cm", "m", "in", "inch")
-_PART = re.compile(r"±|\+\s*/\s*-|amplitud|\bhal(f|be)|\b(0|zero)\s*-?\s*(to)?\s*-?\s*p(ea)?k\b|\brms\b|effektiv", re.I)
+_PART = re.compile(
+    r"/\s*2\b|±|\+\s*/\s*-|amplitud|\bhal(f|be)|\b(0|zero)\s*-?\s*(to)?\s*-?\s*p(ea)?k\b|\brms\b|effektiv", re.I
+)
 """What a head says of a part of a run-out, which is from the lowest to the highest reading."""
 _PROBE = re.compile(
     rf"displ|\bdisp\b|\b({PROBES})|radial|axial|face|gap|taster|weg\b|^d?[xyz]\d?$|cap\d|\bdial\b|indicator|comparateur"

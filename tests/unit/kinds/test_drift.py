@@ -123,7 +123,7 @@ def _runs(folder: Path) -> list[Run]:
 
 def test_a_run_in_another_unit_and_a_spoilt_one_are_found(tmp_path: Path) -> None:
     runs = _runs(_folder(tmp_path / "c", {"a": 1.0, "b": 25.4, "c": 1.0}, spoilt="c"))
-    assert [[f.code for f in judge_drift(run)] for run in runs] == [[], [], ["drift.jump"]]
+    assert [[f.code for f in judge_drift(run)] for run in runs] == [[], ["drift.size"], ["drift.jump"]]
     (found,) = judge_campaign_drift(runs)
     assert found.severity == "warning"
     assert "inch and mm" in found.message

@@ -26,6 +26,7 @@ from dtwin.kinds.rotation._files import is_rotation_file
 from dtwin.kinds.rotation._read import _read_rotation
 from dtwin.kinds.rotation._turns import figures_of, turns_of
 from dtwin.lake.store import Lake
+from dtwin.report.language import _german_of
 from dtwin.schema import Campaign, Finding, Floats, Run, RunMeta
 from dtwin.workbench._access import Access
 from dtwin.workbench._bench import Bench
@@ -227,6 +228,11 @@ def test_what_makes_a_run_useless_is_said() -> None:
     assert codes(angle, np.minimum(um, 4.0)) == {"rotation.clipped"}
     assert codes(angle, 1e-4 * um) == {"rotation.size"}
     assert codes(angle, 1e4 * um) == {"rotation.size"}
+    # Of micrometres under a head of millimetres all is evaluated.
+    assert codes(angle, 1e3 * um) == {"rotation.size"}
+    (found,) = (f for f in judged(run_of(angle, 1e3 * um)) if f.code == "rotation.size")
+    assert found.severity == "warning"
+    assert _german_of(found.message, str) is not None
     assert codes(angle[:700], um[:700]) == {"rotation.few_turns"}
     back = np.concatenate([angle, angle[-1] - (angle[:1000] - angle[0])])
     assert codes(back, Target().read(back, 0)) == {"rotation.turned_back"}
@@ -339,7 +345,15 @@ def test_channels_of_temperatures_are_no_probes(tmp_path: Path, heads: str) -> N
             "X residual [µm]",
             "Z position [mm]",
         ),
-        *("X once per turn [µm]", "Master form [µm]", "X filtered [µm]", "Tiefpass [µm]", "async [µm]", "Summe [µm]"),
+        *(
+            "X once per turn [µm]",
+            "Master form [µm]",
+            "X filtered [µm]",
+            "X diameter [µm]",
+            "Tiefpass [µm]",
+            "async [µm]",
+            "Summe [µm]",
+        ),
         *("torque [Nm]", "X-Y [µm]", "X LSC [µm]"),
     ],
 )
@@ -453,6 +467,7 @@ def test_a_log_without_names_says_which_channels_it_has(tmp_path: Path) -> None:
         ("speed_rpm,runout_um\n100,-4\n", "rotation.negative"),
         ("speed [rpm],run-out ± [µm]\n100,4\n", "rotation.part"),
         ("speed [rpm],half run-out [µm]\n100,4\n", "rotation.part"),
+        ("speed [rpm],run-out/2 [µm]\n100,4\n", "rotation.part"),
         ("speed [rpm],run-out tolerance [µm]\n100,4\n", "columns.missing"),
         (table({"t_s": TIME[::-1], "angle_deg": ANGLE, "radial_um": UM}), "rotation.clock"),
         (table({"t_s": 0.0 * TIME, "angle_deg": ANGLE, "radial_um": UM}), "rotation.clock"),
