@@ -19,7 +19,7 @@ import numpy as np
 
 from dtwin.acquire.axis_titles import axis_of, require_axis
 from dtwin.acquire.table_dialect import decoded
-from dtwin.acquire.xmlsafe import read_bounded
+from dtwin.acquire.xmlsafe import number_or_none, read_bounded
 from dtwin.errors import InputError
 from dtwin.positioning.assignments import Reading
 from dtwin.positioning.position_runs import runs_of
@@ -192,13 +192,11 @@ def _of_means(content: _Content, findings: list[Finding]) -> list[Reading]:
 
 
 def _numbers(text: str, where: Path) -> list[float]:
-    try:
-        values = [float(word.replace(",", ".")) for word in text.split()]
-    except ValueError:
-        values = [float("nan")]
-    if not np.all(np.abs(values) < 1e7):
+    values = [number_or_none(word.replace(",", ".")) for word in text.split()]
+    numbers = [value for value in values if value is not None and abs(value) < 1e7]
+    if len(numbers) < len(values):
         raise _wrong("not a number", where, text.strip()[:60])
-    return values
+    return numbers
 
 
 def _wrong(message: str, where: Path, got: str) -> InputError:
