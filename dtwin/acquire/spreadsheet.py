@@ -44,6 +44,9 @@ _HIDDEN_ROW = re.compile(
     rb'<(?:\w+:)?row\b[^>]*\bhidden="(?:1|true)"[^>]*(?<!/)>(?:<(?:\w+:)?c\b[^>]*/>)*<(?:\w+:)?c\b[^>]*(?<!/)>'
 )
 """A row that is not shown, as a filter leaves it, with a cell that holds something."""
+_HIDDEN_COLUMNS = re.compile(
+    rb'<(?:\w+:)?col\b(?=[^>]*\bhidden="(?:1|true)")(?=[^>]*\bmin="(\d{1,5})")[^>]*\bmax="(\d{1,5})"'
+)
 _CHUNK, _BLOCK = 1024**2, 1000
 
 
@@ -126,6 +129,7 @@ def _converted(path: Path, _changed_ns: int, axis: str | None) -> tuple[bytes, b
             # Few hold formulas, and to look for their values takes as long as to read the workbook twice.
             calculated = small and bool(_sheets_with(_FORMULA, archive))
             filtered = _sheets_with(_HIDDEN_ROW, archive) if small else set()
+            folded = _hidden_columns(archive) if small else {}
         if unpacked > _MAX_UNPACKED:
             raise _refused(path, f"{unpacked / 1e6:z.0f} MB unpacked", f"up to {_MAX_UNPACKED / 1e6:z.0f} MB")
         book = _opened(data, data_only=True)
@@ -157,7 +161,7 @@ def _converted(path: Path, _changed_ns: int, axis: str | None) -> tuple[bytes, b
             for sheet in sheets:
                 rows = _rows(path, sheet.iter_rows(values_only=True))
                 if sum(map(len, rows)) > 1:
-                    _require_shown(path, sheet, filtered)
+                    _require_shown(path, sheet, filtered, folded.get(sheet._worksheet_path, ()))
                     return _as_csv(rows), others
         finally:
             book.close()
@@ -249,6 +253,17 @@ def _sheets_with(form: re.Pattern[bytes], archive: zipfile.ZipFile) -> set[str]:
     return found
 
 
+def _hidden_columns(archive: zipfile.ZipFile) -> dict[str, list[range]]:
+    """Return which columns of each sheet are not shown, from 0; they stand before its cells."""
+    found: dict[str, list[range]] = {}
+    for entry in archive.infolist():
+        if entry.filename.startswith("xl/worksheets/") and not entry.is_dir():
+            with archive.open(entry) as sheet:
+                told = _HIDDEN_COLUMNS.findall(sheet.read(_SNIFFED))
+            found[entry.filename] = [range(int(first) - 1, int(last)) for first, last in told]
+    return found
+
+
 def _opened(data: bytes, *, data_only: bool = False) -> Any:
     """Open a workbook. One that does not say how far its sheets reach would be read to its end for that, which is not believed anyway."""
     import openpyxl
@@ -258,16 +273,21 @@ def _opened(data: bytes, *, data_only: bool = False) -> Any:
     return openpyxl.load_workbook(io.BytesIO(data), read_only=True, data_only=data_only, keep_links=False)
 
 
-def _require_shown(path: Path, sheet: Any, filtered: Collection[str]) -> None:
-    """Refuse a sheet with rows that are not shown: figures would be of other rows than those that its reader sees."""
-    if sheet._worksheet_path in filtered:
+def _require_shown(path: Path, sheet: Any, filtered: Collection[str], folded: Sequence[range]) -> None:
+    """Refuse a sheet with rows, or columns of numbers, that are not shown: figures would be of others than those that its reader sees."""
+    rows = islice(sheet.iter_rows(values_only=True), _LOOKED_AT) if folded else ()
+    numbers = any(
+        isinstance(row[i], int | float) for row in rows for one in folded for i in one[: len(row)] if i < len(row)
+    )
+    if numbers or sheet._worksheet_path in filtered:
+        what = "columns" if numbers else "rows"
         raise InputError(
-            "rows of the sheet are hidden, as by a filter",
+            f"{what} of the sheet are hidden" + ", as by a filter" * (not numbers),
             code="spreadsheet.hidden",
             where=f"{path} {sheet.title}",
-            got="rows with values that the spreadsheet program does not show",
-            allowed="a table of which all rows are shown",
-            hint="clear the filter and show all rows; or copy the rows that are meant to a file of their own",
+            got=f"{what} with values that the spreadsheet program does not show",
+            allowed=f"a table of which all {what} are shown",
+            hint=f"clear the filter and show all {what}; or copy those that are meant to a file of their own",
         )
 
 

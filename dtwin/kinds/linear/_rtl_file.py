@@ -15,8 +15,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from dtwin.acquire.axis_titles import axis_of, require_axis
 from dtwin.acquire.table_dialect import decoded
 from dtwin.acquire.xmlsafe import number_or_none, read_bounded

@@ -292,6 +292,16 @@ def test_rows_that_a_filter_hides_are_refused_and_empty_ones_are_not(tmp_path: P
     with pytest.raises(InputError) as refused:
         table_bytes(path, 10**6)
     assert refused.value.code == "spreadsheet.hidden"
+    sheet.row_dimensions[50].hidden = False
+    # Columns beyond the table are nobody's.
+    for letter, holds_numbers in (("Z", False), ("B", True)):
+        sheet.column_dimensions[letter].hidden = True
+        book.save(path)
+        if holds_numbers:
+            with pytest.raises(InputError, match="columns of the sheet are hidden"):
+                table_bytes(path, 10**6)
+        else:
+            table_bytes(path, 10**6)
 
 
 def test_a_packed_file_that_is_cut_or_grows_without_bounds_is_refused(
