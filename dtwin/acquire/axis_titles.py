@@ -14,7 +14,9 @@ _TITLE = re.compile(
     rf"(?:{_AXIS}[\s.:_#-]*([xyzabcuvw]\d?|\d)|([xyzabcuvw]\d?|\d)[\s._-]*{_AXIS})(?:[\s,:;(-].*)?", re.I
 )
 _WITHIN = re.compile(rf"(?<!\w)(?:{_AXIS}[\s.:_#-]*([xyzabcuvw]\d?)|([xyzabcuvw]\d?)[\s._-]*{_AXIS})(?!\w)", re.I)
-_IN_HEAD = re.compile(r"(?<![^\W_])[xyz](?![^\W_])(?=.*[a-z]{2})|(?<=\w )[xyz](?![^\W_])", re.I)
+_IN_HEAD = re.compile(
+    r"(?<![^\W_])[xyz](?![^\W_])(?=.*[a-z]{2})|(?<=\w )[xyz](?![^\W_])|(?<=\w )[abc](?=\s*[\[(]\s*(?:°|deg))", re.I
+)
 """Beside other words of a head."""
 AXIS_OF_ROW = re.compile(rf"{_AXIS}|coordinate|koordinate|component|komponente", re.I)
 """Head of a column that says of which axis a row is."""

@@ -19,7 +19,7 @@ REVERSED = re.compile(
 """Title or head of errors whose sign is the opposite of everywhere else."""
 _UNIT_ABOVE = re.compile(r"(?:units?|einheit(?:en)?|unités?|unità|unidad(?:es)?|単位|单位)\W*(\S+)", re.I)
 _UNIT_NAMED = re.compile(
-    r"\b(inch(es)?|zoll|pouces?|pollici|pulgadas?|imperial|(tenth|hundredth)mm|(?<=\bin )met(er|re)s)\b|(?<=[(\[])in(?=[)\]])",
+    r"\b(inch(es)?|zoll|pouces?|pollici|pulgadas?|imperial|(tenth|hundredth)mm|gon|radians?|radiant|bogenminuten|(?<=\bin )met(er|re)s)\b|(?<=[(\[])in(?=[)\]])",
     re.I,
 )
 """Of a title that tells the unit of a table beside other words."""

@@ -287,6 +287,17 @@ def test_a_table_of_angles_is_none_of_a_linear_axis_and_the_refusal_names_the_ki
     assert "--kind rotary --axis C" in str(refused.value.hint)
 
 
+def test_a_head_that_names_another_axis_and_a_title_in_gon_are_refused(tmp_path: Path) -> None:
+    positions = "Winkel;vor 1;rück 1\n0;0.001;0.002\n90;90.001;90.002"
+    for text, code in (
+        (wide("arcsec", target="target A [°]"), "position_table.axes"),
+        (f"Alle Winkel in gon\n{positions}", "position_table.unit"),
+    ):
+        with pytest.raises(InputError) as refused:
+            read(written(tmp_path, text), axis="C")
+        assert refused.value.code == code
+
+
 def test_an_axis_that_moves_along_is_refused_of_files_and_afterwards(tmp_path: Path) -> None:
     path, lake = written(tmp_path, wide("arcsec")), Lake(tmp_path / "lake")
     with pytest.raises(InputError, match="moves along") as refused:
