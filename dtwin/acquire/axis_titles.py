@@ -41,14 +41,18 @@ def axis_of(title: str, *, bare: bool = False) -> str:
     return told.upper() if bare and _BARE.fullmatch(told) else ""
 
 
-def axes_named(rows: Sequence[Sequence[str]]) -> list[str]:
-    """Return the axis that titles name within other words, ``Y`` of ``Accuracy of the Y axis``, or in a cell of its own, ``Axis;Y``, and else that of all heads that name one, ``Y fwd 1 [µm]``; none where they name several."""
+def axes_named(rows: Sequence[Sequence[str]], axis: str) -> list[str]:
+    """Return the axis that titles name within other words, ``Y`` of ``Accuracy of the Y axis``, or in a cell of its own, ``Axis;Y``, and else that of all heads that name one, ``Y fwd 1 [µm]``; none where they name several.
+
+    ``axis``: asked for; of one that moves along heads name no instrument by an axis that turns, nor the other way round.
+    """
     cells = [[cell.strip() for cell in row if cell.strip()] for row in rows]
     titles = [told[0] for told in cells if len(told) == 1]
     titles += [" ".join(told) for told in cells if len(told) == 2 and _BARE.fullmatch(told[1])]
     heads = [cell for told in cells if len(told) > 2 and not any(map(is_number, told)) for cell in told]
     told = {(m[1] or m[2]).upper() for title in titles for m in _WITHIN.finditer(title)}
-    told = told or {m[0].upper() for head in heads for m in _IN_HEAD.finditer(head)}
+    alike = next((names for names in ("XYZ", "ABC") if axis[:1].upper() in names), "")
+    told = told or {m[0].upper() for head in heads for m in _IN_HEAD.finditer(head) if m[0].upper() in alike}
     return sorted(told) if len(told) == 1 else []
 
 

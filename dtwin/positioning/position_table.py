@@ -140,7 +140,7 @@ def read_position_runs(
     text = angles_as_targets(part)
     every = with_degrees(rows_of(text))
     rows, told = rows_of_axis(every, axis)
-    require_axis(told or axes_named([*remarks_of(part), *rows[:MOST_TITLES]]), axis, path)
+    require_axis(told or axes_named([*remarks_of(part), *rows[:MOST_TITLES]], axis), axis, path)
     others = part != whole or len(rows) < len(every) or has_other_axes(path, axis)
     first = [cell for row in rows[:MOST_TITLES] for cell in row]
     turns = f"axis {axis}, and no unit of length" if TURNS.fullmatch(axis) else next(filter(names_angles, first), "")

@@ -52,7 +52,7 @@ _DIAMETER_ABOVE = re.compile(
     rf"(?:\bcircle |\bpath |\bnominal |^\W*|\bkreis-?|\bnenn|\bsoll)(?:diameter|durchmesser)\W*{_NUMBER}\s*mm\b", re.I
 )
 _ZERO = re.compile(
-    r"(?:\b0\s*(?:°|deg\b|grad\b)?|\b(?:null|zero|angles?|winkel))\s*(?:=|is\b|ist\b|at\b|bei\b|auf\b|from\b|von\b|ab\b)\s*([+-\u2212]?)\s*([xyz])\b",
+    r"(?:\b0\s*(?:°|deg\b|grad\b)?|\b(?:null|zero|angles?|winkel))\s*(?:=|is\b|ist\b|at\b|bei\b|auf\b|from\b|von\b|ab\b)\s*([+\-\u2212]?)\s*([xyz])\b",
     re.I,
 )
 """Where a title says that angles begin."""

@@ -296,6 +296,8 @@ def test_a_head_that_names_another_axis_and_a_title_in_gon_are_refused(tmp_path:
         with pytest.raises(InputError) as refused:
             read(written(tmp_path, text), axis="C")
         assert refused.value.code == code
+    # The X of an autocollimator is no axis of the machine.
+    assert len(read(written(tmp_path, wide("arcsec", "{way} {c} X [{unit}]")), axis="C")) == 3
 
 
 def test_an_axis_that_moves_along_is_refused_of_files_and_afterwards(tmp_path: Path) -> None:
