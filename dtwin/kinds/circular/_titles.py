@@ -57,7 +57,8 @@ _ZERO = re.compile(
 )
 """Where a title says that angles begin."""
 _WITH_CLOCK = re.compile(
-    r"\b(?:angles?|winkel)\b[^,;]*\b(?:counted|gez[äa]hlt|positiv\w*|increas\w*|clockwise from)\b(?![^,;]*(?:counter|anti|gegen|against))[^,;]*(?:clock|uhrzeigersinn|[xyz]\b)",
+    r"\b(?:angles?|winkel)\b[^,;]{0,60}\b(?:(?:counted|gez[äa]hlt|positiv\w*|increas\w*)\b(?![^,;]{0,60}(?:counter|anti|gegen|against))[^,;]{0,60}(?:clock|uhrzeigersinn)"
+    r"|(?<!counter[- ])(?<!anti[- ])clockwise from\b)",
     re.I,
 )
 """A title of angles that run with the clock."""

@@ -512,7 +512,7 @@ def test_what_a_control_commanded_beside_its_coordinates_is_not_used(tmp_path: P
 )
 def test_a_condition_that_the_titles_tell_otherwise_is_refused(tmp_path: Path, title: str) -> None:
     text = table("angle [deg],ccw [µm]", ANGLE, error_um(ANGLE, 1.0)).replace(",", ";")
-    right = "Radius: 150,0 mm, Vorschub: 1000 mm/min, R=150, plane Y-X, 0° = X, angle at my lathe, angles counted counterclockwise"
+    right = "Radius: 150,0 mm, Vorschub: 1000 mm/min, R=150, plane Y-X, 0° = X, angle at my lathe, angles counted counterclockwise from X to Y"
     (run,) = read(tmp_path / "a.csv", f"{right}\n{text}")
     assert run.meta.direction == "CCW"
     with pytest.raises(InputError, match="another condition"):
