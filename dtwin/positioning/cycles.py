@@ -24,6 +24,8 @@ _TAUS = (0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 5.6)
 """Time constants of warming that are tried, in cycles."""
 _WORTH = 0.5
 """Share of the variance between cycles that a description must take to be told."""
+_LITTLE = 0.02
+"""Share of the variance that a description may leave, though it is no noise: no zero stands still to a tenth of a micrometre beside an axis that warms."""
 _CHANCE = 1e-3
 """How often a description of readings that only scatter may be as good (F test)."""
 _MOST_WARMER_K = 15.0
@@ -172,7 +174,7 @@ def moving_zero(test: LinearTest) -> _MovingZero | None:
     free = n - len(ways) * len(place) - many
     ratio = (total - kept) / many / max(kept, 1e-12) * free
     little = 1.0 - kept / total < _WORTH or free < 1 or f_tail(ratio, (many, free)) > _CHANCE
-    if little or name not in _SAID or _wanders(rest):
+    if little or name not in _SAID or (kept > _LITTLE * total and _wanders(rest)):
         return None
     moves = ", ".join(shown_number(size, sign="+") for size in sizes)
     stretch = test.scale.stretch * max(float(np.ptp(test.position_mm)), 1e-9)

@@ -62,6 +62,14 @@ def test_what_moves_from_cycle_to_cycle_is_told_apart(zero: Any, codes: set[str 
     assert all(moving_reversal(made(zero, seed)) is None for seed in range(20))
 
 
+def test_warming_is_told_where_the_zero_wanders_a_little_beside_it() -> None:
+    def zero(x: Any, c: Any) -> Any:
+        return (3.0 + x / 40.0) * (1.0 - np.exp(-c / 1.3)) + 0.3 * np.sin(3.0 * c)
+
+    found = [moving(made(zero, seed, 0.05)) for seed in range(10)]
+    assert [f and f.code for f in found] == ["linear.warming"] * 10
+
+
 @pytest.mark.parametrize("um", [0.05, 0.25])
 def test_a_zero_that_wanders_as_air_and_heat_make_it_is_no_lost_step(um: float) -> None:
     def zero(x: Any, c: Any) -> Any:
