@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Hashable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from datetime import datetime
 from functools import cached_property, partial
 from typing import Any
@@ -43,6 +43,8 @@ class Observations:
         grid: The n points along the path: on a circle 360.
         wander_um: RMS by which the centre moves from run to run of a set-up, where that is most of what repeats differ by;
             every row then has a centre of its own, and effects are told by what else they do. Otherwise 0.
+        told_from: Values of logged columns that rises are counted from, where they are not the means of these rows: of a part
+            of a campaign those of the whole, of another campaign those that a twin was fitted at.
     """
 
     campaign: Campaign
@@ -58,6 +60,7 @@ class Observations:
     feed_mm_s: Floats
     grid: Grid = CIRCLE
     wander_um: float = 0.0
+    told_from: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def n_bins(self) -> int:
@@ -147,11 +150,15 @@ class Observations:
     @cached_property
     def centred_columns(self) -> Mapping[str, Floats]:
         """Logged columns minus their mean over the campaign, shape (rows, n) each."""
-        out = {}
-        for name in self.logged:
-            values = np.array([np.broadcast_to(c[name], self.n_bins) for c in self.columns], dtype=float)
-            out[name] = values - values[self.mask].mean()
-        return out
+        return {name: self._logged(name) - mean for name, mean in self.means.items()}
+
+    @cached_property
+    def means(self) -> Mapping[str, float]:
+        """What rises of the logged columns are counted from."""
+        return {n: self.told_from.get(n, float(self._logged(n)[self.mask].mean())) for n in self.logged}
+
+    def _logged(self, name: str) -> Floats:
+        return np.array([np.broadcast_to(c[name], self.n_bins) for c in self.columns], dtype=float)
 
     def rms(self, values: Floats) -> float:
         """Return the RMS of values, shape (rows, n), over what was measured."""
@@ -188,6 +195,7 @@ class Observations:
             run_of=self.run_of[rows],
             columns=tuple(self.columns[i] for i in rows),
             feed_mm_s=self.feed_mm_s[rows],
+            told_from=self.means,
         )
 
     def with_y(self, y_um: Floats) -> Observations:

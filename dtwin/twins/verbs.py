@@ -131,7 +131,7 @@ class Twins(TwinShelf):
                 allowed=twin.campaign,
                 hint=f"--on {twin.campaigns[0]}",
             )
-        obs = load(self.home, campaign or twin.campaign).obs
+        obs = self._seen_by(twin, load(self.home, campaign or twin.campaign)).obs
         require_same_machine(twin.name, twin.machine, obs.campaign.name, obs.campaign.machine)
         terms = twin.terms
         if isinstance(twin, SeveralTwin):
@@ -266,7 +266,15 @@ class Twins(TwinShelf):
 
     def against(self, twin: Twin, campaign: str) -> Comparison:
         """Compare a twin with measurements."""
-        return self.compared(twin, load(self.home, campaign))
+        return self.compared(twin, self._seen_by(twin, load(self.home, campaign)))
+
+    def _seen_by(self, twin: Twin, loaded: Loaded) -> Loaded:
+        """Return another campaign with rises of temperature from what the twin was fitted at: growth in between is foretold, too."""
+        needed = {name for term in twin.terms for name in term.instance.effect.needs if name.endswith("_c")}
+        if isinstance(twin, SeveralTwin) or loaded.obs.campaign.name == twin.campaign or not needed:
+            return loaded
+        means = load(self.home, twin.campaign).obs.means
+        return replace(loaded, obs=replace(loaded.obs, told_from={n: means[n] for n in needed}))
 
     def newest(self, name: str, version: int | None = None) -> Twin:
         """Return a version of a twin, the newest one without a number; errors as of :meth:`newest_document`."""

@@ -364,6 +364,25 @@ def test_a_twin_stays_on_its_machine_and_says_where_it_is_outside(twins: Twins, 
     assert "outside the conditions of the fit" in found.warnings[0]
 
 
+def test_a_warmer_day_is_foretold_from_the_temperature_of_the_fit(home: Home, tmp_path: Path) -> None:
+    for name, warm_c in (("cold", 0.0), ("warm", 5.0)):
+        folder = write_campaign(tmp_path / name, "none", name=name, feeds=(2000.0,), radii=(150.0,), repeats=3)
+        told = (folder / "campaign.toml").read_text(encoding="utf-8").split("[[run]]")
+        for number in range(1, len(told)):
+            rise_c = warm_c + 0.25 * number
+            told[number] += f"[run.covariates]\ntemperature_c = {20.0 + rise_c}\n"
+            file = folder / f"r{number:03d}.csv"
+            table = np.loadtxt(file, delimiter=",", skiprows=1)
+            table[:, 2] += 12.0 * 0.15 * rise_c * np.cos(np.radians(table[:, 1])) ** 2
+            np.savetxt(file, table, delimiter=",", fmt="%.5f", comments="", header="t_s,angle_deg,deviation_um")
+        (folder / "campaign.toml").write_text("[[run]]".join(told), encoding="utf-8")
+    twins = Twins(home)
+    twin = twins.fit(str(tmp_path / "cold"), [*KNOWN, "thermal_growth:X"], "t")
+    left = twins.compare("t", str(tmp_path / "warm")).as_dict()
+    assert left["systematic_rms_um"] < 0.5, "5 K make an oval of 3.2 µm RMS"
+    assert twins.budget(twin, "warm")[0].left_um < 0.6
+
+
 def test_mistakes_are_named(twins: Twins, home: Home) -> None:
     with pytest.raises(InputError, match="no such effect"):
         twins.fit("mill-march", ["backlush"], "mill-a")
