@@ -218,12 +218,10 @@ class Observations:
                 make = partial(_averaged, self.grid, instance, shape, state)
                 key = self._condition_keys[number]
                 out[self.condition_of == number] = kept_columns(instance, shape, key, make)
-        out = np.where(self.mask[:, :, None], out, 0.0)
-        if not self.wander_um:
-            return out
-        told = from_harmonics(self._told(to_harmonics(out)))
+        told = self._told(out)
         # What moves the centre and nothing else would leave rounding, and that be fitted.
-        return np.where((told**2).sum(axis=(0, 1)) > _ROUNDING * (out**2).sum(axis=(0, 1)), told, 0.0)
+        seen = (told**2).sum(axis=(0, 1)) > _ROUNDING * (out**2).sum(axis=(0, 1))
+        return np.where(self.mask[:, :, None] & seen, told, 0.0)
 
     def harmonics(self, instance: Instance, shape: Shape) -> Floats:
         """Return the columns of an effect as coefficients of harmonics, shape (rows, n, parameters)."""
@@ -243,11 +241,14 @@ class Observations:
             kept_columns(instance, shape, key, make) if keep else make()
             for key, make in zip(self._condition_keys, made, strict=True)
         ]
-        return self._told(to_harmonics(np.stack(columns) * masks[:, :, None])), self.condition_of
+        return to_harmonics(self._told(np.stack(columns)) * masks[:, :, None]), self.condition_of
 
-    def _told(self, rows: Floats) -> Floats:
-        """Return rows of harmonics, shape (k, n, ...), as runs tell them: without the centre that every row has of its own."""
-        return without_centre(rows) if self.wander_um else rows
+    def _told(self, columns: Floats) -> Floats:
+        """Return columns on whole circles, shape (k, n, ...), as runs tell them: without the centre that every row has of its own.
+
+        Like the runs: before places are left out, for there an effect and a part of a circle's centre are no longer apart.
+        """
+        return from_harmonics(without_centre(to_harmonics(columns))) if self.wander_um else columns
 
     @staticmethod
     def is_alike_in_repeats(instance: Instance) -> bool:

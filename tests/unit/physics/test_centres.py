@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -64,6 +65,17 @@ def test_a_centre_that_wanders_costs_nothing_that_is_told() -> None:
     for told, truth in zip(fit(wandering, terms, refine=False).estimates, (20.0, 2.0), strict=True):
         assert abs(told.value) == pytest.approx(truth, abs=1.5 * told.uncertainty)
         assert told.uncertainty < 0.05 * truth
+
+
+def test_places_that_are_left_out_leave_effects_as_they_are_elsewhere() -> None:
+    rng = np.random.default_rng(5)
+    whole = measured(lambda hour: 3.0 * rng.standard_normal(2))
+    part = replace(whole, mask=whole.mask & (np.arange(whole.n_bins) % 90 > 5))
+    lobes, bow = Instance(LIBRARY["instrument_artefact"], ""), Instance(LIBRARY["straightness"], "X")
+    for instance in (lobes, bow):
+        columns = part.regressors(instance, {})
+        np.testing.assert_allclose(columns[part.mask], whole.regressors(instance, {})[part.mask], atol=1e-9)
+        np.testing.assert_allclose(part.harmonics(instance, {}), to_harmonics(columns), atol=1e-9)
 
 
 @pytest.mark.parametrize("order", [(0, 1), (1, 0)], ids=["the second wanders", "the first wanders"])
