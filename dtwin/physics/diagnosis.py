@@ -179,15 +179,16 @@ class Diagnosis:
 
         What may be how far the laws of those are off stays in its last word. A group must foretell ``LEAST_GAIN`` of what
         is left where it was not fitted. What follows the reversals of an axis is also what the law of friction, of a spike
-        or of a mode of that axis leaves there, unless radius and feed were changed apart from each other.
+        or of a mode of that axis leaves there, unless radius and feed were changed apart from each other; and friction, what
+        that of backlash leaves: the two would then take each other away.
         """
         follows = set() if any(one.crossed for one in campaigns) else _LIKE_IT
-        inexact = {label.partition(" ")[2] for label in labels if label.partition(" ")[0] in _INEXACT}
-        return tuple(
-            group
-            for group in self.found
-            if group[0].cv_gain >= LEAST_GAIN and not (group[0].effect in follows and group[0].axis in inexact)
-        )
+
+        def is_left(top: Suspect) -> bool:
+            inexact = _LIKE_IT if top.effect == "friction" else _INEXACT
+            return top.effect in follows and any(f"{name} {top.axis}" in labels for name in inexact)
+
+        return tuple(group for group in self.found if group[0].cv_gain >= LEAST_GAIN and not is_left(group[0]))
 
     def as_dict(self) -> dict[str, Any]:
         """Return a JSON-ready mapping."""

@@ -15,6 +15,7 @@ from dtwin.machines.mill import Moment, VirtualMill
 from dtwin.machines.mill_parameters import HeatParameters, MillParameters
 from dtwin.physics.candidates import Candidate, independent
 from dtwin.physics.diagnose import diagnose
+from dtwin.physics.diagnosis import Diagnosis, Suspect
 from dtwin.physics.effect import Instance
 from dtwin.physics.gridding import N_BINS
 from dtwin.physics.library import Library
@@ -101,3 +102,22 @@ def test_heat_times_feed_is_not_called_a_wrong_scale() -> None:
     assert found.verdict == "unknown_effect", found.headline
     assert "temperature_c" in [channel.name for channel in found.channels]
     assert "temperature_c" in found.headline
+
+
+@pytest.mark.parametrize(
+    ("there", "offered", "crossed", "added"),
+    [
+        ("backlash Y", "friction", False, False),
+        ("backlash X", "friction", False, True),
+        ("backlash Y", "friction", True, True),
+        ("backlash Y", "reversal_spike", False, True),
+        ("friction Y", "backlash", False, False),
+    ],
+)
+def test_what_follows_reversals_stands_beside_its_like_only_where_conditions_tell_them_apart(
+    there: str, offered: str, crossed: bool, added: bool
+) -> None:
+    top = Suspect(offered, "Y", 0.1, 0.9, 0.0, True, None, (), (), 0.5, "")
+    found = Diagnosis("missing_effect", "", 1.0, 1.0, 0.1, "repeats", 0.0, found=((top,),))
+    campaign = cast(Observations, SimpleNamespace(crossed=crossed))
+    assert bool(found.to_add([there], [campaign])) is added
