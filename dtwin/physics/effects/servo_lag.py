@@ -33,7 +33,10 @@ EFFECT = Effect(
         "square of the feed over the radius."
     ),
     formula="-(tau^2 / 2) F^2 / R, for each axis with cos^2(t) and sin^2(t)",
-    looks_like="The circle shrinks when the feed rises; an oval when the axes differ.",
+    looks_like=(
+        "The circle shrinks when the feed rises; an oval when the axes differ; where it grows (a squared delay below zero), "
+        "feed forward is too strong."
+    ),
     separate_by="Record the encoders: a servo lag is seen by them, bending of the structure is not.",
     remedy="Feed forward, higher loop gain, lower feed on small radii.",
     reference=(
