@@ -12,6 +12,7 @@ import scipy
 from dtwin.physics._best_shapes import in_best_shapes
 from dtwin.physics._condensed import Condensed
 from dtwin.physics._dictionary import Dictionary, Entry, is_periodic
+from dtwin.physics._logged_heat import as_good_as_logged, logged_instead
 from dtwin.physics._shapes import refined
 from dtwin.physics.candidates import Candidate, Candidates, probes
 from dtwin.physics.cross_validation import left_out_gain, left_out_places
@@ -32,8 +33,6 @@ _AS_GOOD = 0.9
 _IMPOSSIBLE = 0.1
 # So much, where laws hold, of what the other explains is no less.
 _NO_LESS = 0.99
-# A thermometer is off by so much of a rise, or stands elsewhere: what follows it then explains no less.
-_OF_LOGGED = 0.97
 # Share of what is left at a target left out that a curve of any shape foretells; waves that targets do not follow give it less.
 _FORETOLD_OF_CURVE = 0.3
 
@@ -107,7 +106,7 @@ def described(
                 for c in group[1:]
                 if c.term.label in absorbed
                 or (_is_like(top, c) and c.score.gain > _NO_LESS * top.score.gain)
-                or _as_good_as_logged(top, c)
+                or as_good_as_logged(top, c)
                 or _adds_nothing(beside, top, c, everywhere, rough)
             )
         have = {c.term.label for c in group}
@@ -120,6 +119,8 @@ def described(
         group += two or _beside_a_part(given, candidates, top, group, level)
         parts = _parts_instead(given, candidates, top, group, level)
         group += parts
+        logged, scale = logged_instead(given, candidates, top, group, level)
+        group += logged
         beside_top = candidates.given(given, [term])
         group = tuple(c for c in group if c in sets or _is_possible(given, candidates, c, beside_top)) or group
         top, term = group[0], group[0].term
@@ -141,7 +142,7 @@ def described(
             if c in parts
             else [o.term for o in group if o.term.instance.effect is c.term.instance.effect and o is not c]
             for c in (*sets, *parts)
-        }
+        } | {c.term.label: scale for c in logged}
         out.append(Found(top, group, absorbed, together, given, candidates, level, gain, size_um, fitted))
     return tuple(sorted(out, key=lambda f: -f.size_um))
 
@@ -229,13 +230,7 @@ def _as_good(problem: Problem, top: Candidate, other: Candidate) -> bool:
     Of two that are known to look alike at one speed, the one whose law is nearer need not be the cause.
     """
     enough = other.score.gain > _AS_GOOD * top.score.gain
-    return (_is_like(top, other) and enough and not problem.obs.several_speeds) or _as_good_as_logged(top, other)
-
-
-def _as_good_as_logged(top: Candidate, other: Candidate) -> bool:
-    """Tell whether a rival explains what an effect does but for what the temperatures that were logged may be off."""
-    more = set(other.term.instance.effect.needs) - set(top.term.instance.effect.needs)
-    return any(name.endswith("_c") for name in more) and other.score.gain > _OF_LOGGED * top.score.gain
+    return (_is_like(top, other) and enough and not problem.obs.several_speeds) or as_good_as_logged(top, other)
 
 
 def _is_like(top: Candidate, other: Candidate) -> bool:

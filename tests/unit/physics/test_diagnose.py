@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from datetime import datetime
 
 import numpy as np
 import pytest
@@ -176,6 +177,22 @@ def test_growth_that_lags_behind_its_channel_is_told_with_a_time_of_its_own() ->
     assert "warming_growth X" in named["slow"]
     assert named["slow"] <= {"warming_growth X", "thermal_growth X"}
     assert named["at once"] == {"thermal_growth X"}
+
+
+def test_a_machine_that_is_right_when_it_is_cold_may_follow_its_thermometer() -> None:
+    runs = measured(VirtualMill(MillParameters(squareness_um_m={"XY": 30.0}), 5))
+    begun = [datetime.fromisoformat(run.meta.started) for run in runs]
+    warmed = []
+    for run, when in zip(runs, begun, strict=True):
+        rise_c = 3.5 * (1.0 - np.exp(-(when - min(begun)).total_seconds() / 1200.0))
+        grown_um = 12e-3 * rise_c * run.meta.radius_mm * np.cos(np.radians(run.samples["angle_deg"])) ** 2
+        samples = run.samples | {"deviation_um": run.samples["deviation_um"] + grown_um}
+        warmed.append(
+            replace(run, meta=replace(run.meta, covariates={"temperature_c": 20.0 + rise_c}), samples=samples)
+        )
+    obs = observed(warmed)
+    found = diagnose(obs, chosen_terms(["squareness"], LIBRARY, obs), LIBRARY)
+    assert [s.label for s in found.found[0]] == ["warming_growth X", "thermal_growth X"], found.headline
 
 
 def test_growth_that_lags_takes_no_other_name_with_it() -> None:
