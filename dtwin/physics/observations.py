@@ -218,6 +218,8 @@ class Observations:
                 make = partial(_averaged, self.grid, instance, shape, state)
                 key = self._condition_keys[number]
                 out[self.condition_of == number] = kept_columns(instance, shape, key, make)
+        if not self.wander_um:
+            return np.where(self.mask[:, :, None], out, 0.0)
         told = self._told(out)
         # What moves the centre and nothing else would leave rounding, and that be fitted.
         seen = (told**2).sum(axis=(0, 1)) > _ROUNDING * (out**2).sum(axis=(0, 1))
