@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -120,46 +121,49 @@ def moving_zero(test: LinearTest) -> _MovingZero | None:
     cycle = np.arange(cycles, dtype=float)
 
     def left(columns: Sequence[Floats]) -> tuple[Floats, Floats]:
-        # Like the readings, columns are told from their mean over the cycles.
-        spread = [np.broadcast_to(c, moved.shape) for c in columns]
-        design = np.stack([(c - c.mean(axis=2, keepdims=True))[told] for c in spread], axis=1)
-        found, *_ = np.linalg.lstsq(design, moved[told], rcond=None)
+        # Like the readings, columns are told from their mean over the cycles; normal equations, as readings may be a million.
+        design = np.empty((len(columns), n))
+        for row, column in zip(design, columns, strict=True):
+            spread = np.broadcast_to(column, moved.shape)
+            row[:] = (spread - spread.mean(axis=2, keepdims=True))[told]
+        found, *_ = np.linalg.lstsq(design @ design.T, design @ moved[told], rcond=None)
         rest = np.full(moved.shape, np.nan)
-        rest[told] = moved[told] - design @ found
+        rest[told] = moved[told] - found @ design
         return rest, np.asarray(found)
 
-    rivals: list[tuple[float, Floats, str, str, Floats, int, Sequence[Floats]]] = []
+    best: list[tuple[float, Floats, str, Callable[[], str], Floats, int, Sequence[Floats]]] = []
 
-    def tried(name: str, where: str, columns: Sequence[Floats], searched: int) -> None:
+    def tried(name: str, where: Callable[[], str], columns: Sequence[Floats], searched: int) -> float:
         rest, sizes = left(columns)
         many = len(columns) + searched
-        cost = n * np.log(max(float(np.nansum(rest**2)), 1e-12) / n) + many * np.log(n)
-        rivals.append((float(cost), rest, name, where, sizes, many, columns))
+        cost = float(n * np.log(max(float(np.nansum(rest**2)), 1e-12) / n) + many * np.log(n))
+        if not best or cost < best[0][0]:
+            best[:] = [(cost, rest, name, where, sizes, many, columns)]
+        return cost
 
     share = (np.arange(len(place)) + 0.5) / (len(ways) * len(place))
     orders = {"forward": np.stack([share, 1.0 - share]), "reverse": np.stack([0.5 + share, 0.5 - share])}
     if len(ways) == 1:
         orders = {ways[0]: (share if ways[0] == "forward" else 1.0 - share)[None, :]}
     # Whether it slips within cycles, too, no reading tells; most that slips does, at every move.
-    tried("slip", "", [orders[test.first or ways[0]][:, :, None] + cycle], 0)
+    tried("slip", str, [orders[test.first or ways[0]][:, :, None] + cycle], 0)
     between = [(cycle >= at).astype(float) for at in range(1, cycles)]
-    tried("jumps", _BETWEEN, between, 0)
+    tried("jumps", lambda: _BETWEEN, between, 0)
     for number, step in enumerate(between, start=1):
-        tried("jump", f"cycle {test.cycle(number)}", [step], 1)
+        tried("jump", partial("cycle {}".format, test.cycle(number)), [step], 1)
     for way in [test.first] if test.first else list(orders):
         within = orders[way][:, :, None] + cycle
         # The best of many places fits by chance: a place counts as three parameters.
         for at in _jumps(within, moved, told):
             steps = [(within >= time).astype(float) for time in at]
             name = "jump" if len(at) == 1 else "jumps" if len(at) < cycles else "wander"
-            tried(name, _places(at, within, test), steps, 3 * len(at))
+            tried(name, partial(_places, at, within, test), steps, 3 * len(at))
         # What moves within sweeps, too, is no jump: straight lines from the beginning of one cycle to that of the next.
-        tried("wander", "", [np.clip(1.0 - np.abs(within - knot), 0.0, None) for knot in range(1, cycles + 1)], 0)
+        tried("wander", str, [np.clip(1.0 - np.abs(within - knot), 0.0, None) for knot in range(1, cycles + 1)], 0)
 
         def warmed(tau: float, within: Floats = within) -> float:
             settling = -np.exp(-within / tau)
-            tried("warming", shown_number(tau, 2), [settling, settling * place[None, :, None]], 1)
-            return rivals[-1][0]
+            return tried("warming", partial(shown_number, tau, 2), [settling, settling * place[None, :, None]], 1)
 
         # Where readings move by much more than they scatter, a time constant between two of the list leaves what looks like another law.
         nearest = min(_TAUS, key=warmed)
@@ -168,7 +172,7 @@ def moving_zero(test: LinearTest) -> _MovingZero | None:
             bounds=(np.log(nearest / 1.5), np.log(nearest * 1.5)),
             method="bounded",
         )
-    _, rest, name, where, sizes, many, columns = min(rivals, key=lambda rival: rival[0])
+    ((_, rest, name, place_of, sizes, many, columns),) = best
     kept = float(np.nansum(rest**2))
     # Each target and direction has its mean.
     free = n - len(ways) * len(place) - many
@@ -176,6 +180,7 @@ def moving_zero(test: LinearTest) -> _MovingZero | None:
     little = 1.0 - kept / total < _WORTH or free < 1 or f_tail(ratio, (many, free)) > _CHANCE
     if little or name not in _SAID or (kept > _LITTLE * total and _wanders(rest)):
         return None
+    where = place_of()
     moves = ", ".join(shown_number(size, sign="+") for size in sizes)
     stretch = test.scale.stretch * max(float(np.ptp(test.position_mm)), 1e-9)
     warmer_k = 1000.0 * abs(float(sizes[-1])) / stretch if stretch else math.inf
@@ -236,9 +241,8 @@ def _jumps(within: Floats, moved: Floats, told: NDArray[np.bool_]) -> Iterator[l
     """
     times = np.sort(within.ravel())[1:]
     times = times[:: max(1, times.size // _MOST_TIMES)]
-    steps = (within[..., None] >= times).astype(float)
-    columns = (steps - steps.mean(axis=2, keepdims=True))[told]
-    size = np.sum(columns**2, axis=0)
+    products, along = _products_of_steps(times, within, moved, told)
+    size = np.diag(products)
     # A jump lies between the reading before its time and the one at it.
     apart = 1.0 / (within.shape[0] * within.shape[1])
     first, after_last = float(within.min()), float(within.max()) + apart
@@ -249,11 +253,10 @@ def _jumps(within: Floats, moved: Floats, told: NDArray[np.bool_]) -> Iterator[l
         return np.asarray(np.abs(times[:, None] - ends).min(axis=1) > (_HELD - 0.5) * apart)
 
     def best(others: list[int]) -> int:
-        basis, _ = np.linalg.qr(columns[:, others])
-        rest = moved[told] - basis @ (basis.T @ moved[told])
-        free = size - np.sum((basis.T @ columns) ** 2, axis=0)
-        possible = (free > 1e-6 * size) & held(others)
-        gain = np.where(possible, (columns.T @ rest) ** 2 / np.where(possible, free, 1.0), 0.0)
+        shares, *_ = np.linalg.lstsq(products[np.ix_(others, others)], products[others], rcond=None)
+        free = size - np.sum(products[others] * shares, axis=0)
+        possible = (free > 1e-6 * np.maximum(size, 1.0)) & held(others)
+        gain = np.where(possible, (along - along[others] @ shares) ** 2 / np.where(possible, free, 1.0), 0.0)
         return int(np.argmax(gain))
 
     while len(chosen) < min(within.shape[2], _MOST_JUMPS):
@@ -261,6 +264,32 @@ def _jumps(within: Floats, moved: Floats, told: NDArray[np.bool_]) -> Iterator[l
         for i in range(len(chosen)) if len(chosen) > 1 else ():
             chosen[i] = best(chosen[:i] + chosen[i + 1 :])
         yield [float(times[i]) for i in sorted(chosen)]
+
+
+def _products_of_steps(times: Floats, within: Floats, moved: Floats, told: NDArray[np.bool_]) -> tuple[Floats, Floats]:
+    """Return the products of the steps at times (n,), each about its mean over the cycles, with each other (n, n) and with readings (n,).
+
+    No column of steps is made, which of a million readings would hold gigabytes: targets that all times part alike are one.
+    """
+    cycles = within.shape[2]
+    rows = np.argsort(within[:, :, 0], axis=None, kind="stable")
+    # By how many of the times readings are not earlier.
+    behind = np.searchsorted(times, within.reshape(-1, cycles)[rows], side="right")
+    begun = np.flatnonzero(np.append(True, np.any(np.diff(behind, axis=0) != 0, axis=1)))
+
+    def from_time_on(values: Floats) -> tuple[Floats, Floats]:
+        """Return sums of readings from each time on, and of all, for each group of targets."""
+        grouped = np.add.reduceat(values.reshape(-1, cycles)[rows], begun, axis=0)
+        sums = np.pad(np.cumsum(grouped[:, ::-1], axis=1)[:, ::-1], ((0, 0), (0, 1)))
+        return np.take_along_axis(sums, first, axis=1), sums[:, :1]
+
+    first = np.stack([np.searchsorted(group, np.arange(times.size), side="right") for group in behind[begun]])
+    mean = 1.0 - first / cycles
+    count, counts = from_time_on(told.astype(float))
+    moves, all_moves = from_time_on(np.where(told, moved, 0.0))
+    both = count.sum(axis=0)[np.maximum.outer(np.arange(times.size), np.arange(times.size))]
+    crossed = count.T @ mean
+    return both - crossed - crossed.T + mean.T @ (counts * mean), np.sum(moves - all_moves * mean, axis=0)
 
 
 def _places(at: Sequence[float], within: Floats, test: LinearTest) -> str:

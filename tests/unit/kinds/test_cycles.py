@@ -11,7 +11,7 @@ import pytest
 
 from dtwin.positioning._spoilt import spoilt_readings
 from dtwin.positioning.check import judge_positioning_campaign
-from dtwin.positioning.cycles import _MOST_JUMPS, _jumps, moving_zero, zero_of_each_cycle
+from dtwin.positioning.cycles import _MOST_JUMPS, _jumps, _products_of_steps, moving_zero, zero_of_each_cycle
 from dtwin.positioning.matrix import LinearTest
 from dtwin.positioning.moving_reversal import moving_reversal
 from dtwin.positioning.position_table import read_position_runs
@@ -168,6 +168,20 @@ def test_a_test_of_many_cycles_ends() -> None:
     shape = (2, 3, _MOST_JUMPS + 20)
     within, told = np.arange(np.prod(shape)).reshape(shape[::-1]).T / 6.0, np.ones(shape, dtype=bool)
     assert len(list(_jumps(within, rng.normal(size=shape), told))) == _MOST_JUMPS
+
+
+def test_the_search_for_jumps_makes_no_column_of_readings() -> None:
+    """Four hundred columns of a million readings took minutes and gigabytes; what they multiply to is the same."""
+    rng = np.random.default_rng(1)
+    shape = (2, 40, 5)
+    within = np.stack([(np.arange(40) + 0.5) / 80, 1.0 - (np.arange(40) + 0.5) / 80])[:, :, None] + np.arange(5.0)
+    told, moved = rng.random(shape) > 0.1, rng.normal(size=shape)
+    times = np.sort(within.ravel())[1::7]
+    steps = (within[..., None] >= times).astype(float)
+    columns = (steps - steps.mean(axis=2, keepdims=True))[told]
+    products, along = _products_of_steps(times, within, moved, told)
+    assert products == pytest.approx(columns.T @ columns, abs=1e-9)
+    assert along == pytest.approx(columns.T @ moved[told], abs=1e-9)
 
 
 def test_two_readings_that_are_off_are_no_jump_there_and_back() -> None:
