@@ -129,11 +129,19 @@ class MqttRecorder(OpenAndClose):
             else:
                 client.subscribe([(topic, 1) for topic in topics])
 
-        client.on_connect = connected
-        client.on_subscribe = lambda *_: ready.put(True)
-        client.on_message = lambda c, d, message: self._hear(
-            message.topic, bytes(message.payload), retained=message.retain
-        )
+        def subscribed(client: Client, data: Any, number: int, codes: Any, properties: Any) -> None:
+            denied = [topic for topic, code in zip(topics, codes, strict=False) if code.is_failure]
+            refused.extend(f"may not read {topic}" for topic in denied)
+            ready.put(not denied)
+
+        def heard(client: Client, data: Any, message: Any) -> None:
+            try:
+                self._hear(message.topic, bytes(message.payload), retained=message.retain)
+            except UnicodeDecodeError:
+                # It would end the thread of the client, and the last values would hold for ever.
+                self._refused += 1
+
+        client.on_connect, client.on_subscribe, client.on_message = connected, subscribed, heard
         try:
             client.connect(self._host, self._port, _KEEP_ALIVE_S)
             client.loop_start()

@@ -20,7 +20,8 @@ _MAX_TAG_CHARS = 4_000
 # <AVERAGING_ENABLED="True" /> : a value without an attribute name.
 _NAMELESS_VALUE = re.compile(rb"<([A-Za-z_][\w.-]*)=(\"[^\"<>]*\")")
 _BARE_AMPERSAND = re.compile(rb"&(?!#?\w{1,10};)")
-_TAG = re.compile(rb"<(/?)[A-Za-z_][^<>]*?(/?)>")
+# A name may begin with any letter, of other alphabets, too.
+_TAG = re.compile(rb"<(/?)[^\s<>!?/][^<>]*?(/?)>")
 
 
 def read_bounded(path: Path, max_bytes: int = _MAX_BYTES) -> bytes:
@@ -76,7 +77,9 @@ def parse_vendor_xml(data: bytes, where: str) -> Element:
     if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
         data = _decode_utf16(data, where)
     _refuse_absurd_structure(data, where)
-    mended = _BARE_AMPERSAND.sub(b"&amp;", _NAMELESS_VALUE.sub(rb"<\1 VALUE=\2", data))
+    # Each slip that is mended costs a hundred times its size; what has more of them stays broken.
+    mended = _NAMELESS_VALUE.sub(rb"<\1 VALUE=\2", data, count=_MAX_ELEMENTS)
+    mended = _BARE_AMPERSAND.sub(b"&amp;", mended, count=_MAX_ELEMENTS)
     try:
         root: Element = fromstring(mended, forbid_dtd=True)
     except DefusedXmlException as error:

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import json
 import signal
+import socket
 import subprocess
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -236,6 +237,41 @@ def test_a_broker_that_freezes_is_said(tmp_path: Path, monkeypatch: pytest.Monke
             until(device, lambda read: False)
         started[0].send_signal(signal.SIGCONT)
     assert caught.value.code == "mqtt.silent"
+
+
+@contextmanager
+def false_broker(granted: int, sent: bytes = b"") -> Iterator[int]:
+    """Yield the port of what answers as a broker does, grants a subscription by this code and sends something once."""
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+
+        def answer() -> None:
+            connection, _ = listener.accept()
+            with connection, suppress(OSError):
+                connection.recv(4096)
+                connection.sendall(b"\x20\x02\0\0")
+                number = connection.recv(4096)[2:4]
+                connection.sendall(b"\x90\x03" + number + bytes([granted]) + sent)
+                while connection.recv(4096):
+                    pass
+
+        threading.Thread(target=answer, daemon=True).start()
+        yield int(listener.getsockname()[1])
+
+
+def test_a_topic_that_is_no_text_is_refused_and_ends_nothing() -> None:
+    """It ended the client's thread: the last value held for ever, and nothing was said."""
+    sent = b"".join(bytes([0x30, 9]) + b"\0\6" + topic + b"7" for topic in (b"\xffill/x", b"mill/x"))
+    with false_broker(1, sent) as port, recorder(port) as device:
+        device.start()
+        until(device, lambda read: 7.0 in read["x_mm"])
+        (finding,) = device.check()
+    assert finding.numbers == {"messages": 1.0}
+
+
+def test_a_topic_that_may_not_be_read_is_said() -> None:
+    with false_broker(0x80) as port, pytest.raises(DeviceError, match="may not read mill/x") as caught:
+        recorder(port).open()
+    assert caught.value.code == "mqtt.absent"
 
 
 def test_more_bytes_than_may_wait_are_refused_until_the_others_were_taken(

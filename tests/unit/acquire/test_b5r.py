@@ -232,6 +232,8 @@ OUTSIDE = b"""<?xml version="1.0"?><!DOCTYPE z [<!ENTITY x SYSTEM "file:///etc/p
         (b"<a>" * 200_000, "xml.absurd"),
         (b"<TEST_DOCUMENT>" + b"<a/>" * 300_000 + b"</TEST_DOCUMENT>", "xml.absurd"),
         (b"<TEST_DOCUMENT " + b'a="1" ' * 100_000 + b"/>", "xml.absurd"),
+        (("<TEST_DOCUMENT>" + "<é/>" * 300_000 + "</TEST_DOCUMENT>").encode(), "xml.absurd"),
+        (b"<TEST_DOCUMENT>" + b"&" * 3_000_000 + b"</TEST_DOCUMENT>", "xml.malformed"),
         (b"PK\x03\x04\x00\x00", "xml.binary"),
         (b"", "file.empty"),
         (b"   \n", "file.empty"),
