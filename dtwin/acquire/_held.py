@@ -22,6 +22,7 @@ _COVARIATE_UNITS = ("degC", "%")
 _MOST_EVENTS = 2000
 _MOST_AT_ONCE = 100_000
 _FARTHEST_S = 3600.0
+_MOST_WAITING = 200_000
 # Seconds since 1970 are told to a quarter of a microsecond.
 _SAME_S = 1e-5
 
@@ -53,7 +54,7 @@ class Held:
     ``group``: name of the signals.
     ``columns``: numbers that are kept; names end in their unit.
     ``notes``: where they come from, for the recording.
-    ``odd``: number of observations whose time lies more than an hour beside the clock: they are left out.
+    ``odd``: number of observations whose time lies more than an hour beside the clock, or too many of which wait for it: they are left out.
     """
 
     def __init__(self, group: str, rate_hz: float, columns: Sequence[str], notes: dict[str, Any]) -> None:
@@ -82,13 +83,12 @@ class Held:
         for one in observed:
             if math.isnan(self._begun_s):
                 self._begun_s = one.time_s
-            if abs(one.time_s - self.next_s) > _FARTHEST_S:
+            far = abs(one.time_s - self.next_s) > _FARTHEST_S
+            if far or len(self._waiting) >= _MOST_WAITING:
                 self.odd += 1
                 if self.odd == 1:
-                    said = (
-                        f"values of {one.name} and perhaps others, whose clock is more than an hour off, are left out"
-                    )
-                    self.say(said)
+                    why = "clock is more than an hour off" if far else "time does not come"
+                    self.say(f"values of {one.name} and perhaps others, whose {why}, are left out")
             else:
                 self._waiting.append(one)
 

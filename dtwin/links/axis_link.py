@@ -20,12 +20,15 @@ from dtwin.links import state as layout
 from dtwin.links._line_socket import LineSocket, StateLines
 from dtwin.links.state import Floats, LiveValues
 from dtwin.links.virtual_key import new_nonce
+from dtwin.units import is_number
 
 PROTOCOL = 1
 STATE_NAMES = ("timestamp_s", "runtime_running", "safety_ok")
 """What every state must have."""
 
 LONGEST_LINE = 65_536
+# No line is written and read in less; a rate beyond it would be no number.
+_SHORTEST_S = 1e-5
 _GREETING_S = 5.0
 # A control on the machine clock may think for long between two states.
 _LAPSED_S = 30.0
@@ -174,9 +177,9 @@ class AxisLink(StateLines):
     def _greeting(self, told: Mapping[str, object]) -> Greeting:
         period, watchdog, clock = (told.get(n) for n in ("period_s", "watchdog_s", "clock"))
         axes = told.get("axes")
-        if not (isinstance(period, int | float) and 0.0 < period < 60.0):
+        if not (is_number(period) and _SHORTEST_S <= period < 60.0):
             raise self._unusable(f"period_s {period}")
-        if not (isinstance(watchdog, int | float) and 0.0 < watchdog <= 60.0):
+        if not (is_number(watchdog) and 0.0 < watchdog <= 60.0):
             raise self._unusable(f"watchdog_s {watchdog}")
         if clock not in ("wall", "machine"):
             raise self._unusable(f"clock {clock}")

@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable
 from typing import Protocol
 
-from dtwin.errors import DeviceError, DtwinError, GateRefusal
+from dtwin.errors import DeviceError, DtwinError, GateRefusal, InputError
 from dtwin.links import state as layout
 from dtwin.serve._journal import LINK_LOST, RECONNECTED, Note
 from dtwin.serve._program_watch import fault_of
@@ -167,7 +167,7 @@ class MachineServing:
             tries += 1
             try:
                 self._link = self._connected()
-            except GateRefusal as refusal:
+            except (GateRefusal, InputError) as refusal:
                 self._note("refused_on_return", why=refusal.code)
                 return False
             except DeviceError as error:

@@ -7,7 +7,8 @@ import math
 import socket
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -236,10 +237,12 @@ def test_a_served_control_on_the_wall_clock(home: Home) -> None:
     assert np.mean(exact) > 0.9
 
 
-def test_a_control_that_breaks_off_is_a_fault_and_said(home: Home) -> None:
+@pytest.mark.parametrize(("clock", "patience_s"), [("machine", 0.0), ("wall", 60.0)])
+def test_a_control_that_breaks_off_is_a_fault_and_said(home: Home, clock: str, patience_s: float) -> None:
+    """Also where it comes back without what the model needs."""
     listener = socket.create_server(("127.0.0.1", 0))
 
-    def breaks_off() -> None:
+    def breaks_off(missing: Sequence[str] = ()) -> None:
         connection, _ = listener.accept()
         asked = json.loads(connection.recv(65536))
         state = {"timestamp_s": 0.0, "runtime_running": 1, "safety_ok": 1, "z_mm": 1.0, "bed_c": 20.0}
@@ -247,10 +250,10 @@ def test_a_control_that_breaks_off_is_a_fault_and_said(home: Home) -> None:
             "dtwin": 1,
             "control": "x",
             "period_s": 0.01,
-            "clock": "machine",
+            "clock": clock,
             "watchdog_s": 0.1,
             "axes": ["z"],
-            "missing": [],
+            "missing": list(missing),
             "proof": "",
             "nonce": asked["nonce"],
         }
@@ -260,13 +263,17 @@ def test_a_control_that_breaks_off_is_a_fault_and_said(home: Home) -> None:
             + json.dumps({**state, "z_mm": 1e400}).encode()
             + b"\n"
         )
-        connection.recv(65536)
+        connection.settimeout(0.3)
+        with suppress(TimeoutError):
+            connection.recv(65536)
         connection.close()
+        if not missing:
+            breaks_off(["z_mm"])
 
     threading.Thread(target=breaks_off, daemon=True).start()
-    found = served(home, f"127.0.0.1:{listener.getsockname()[1]}", mode="shadow")
+    found = served(home, f"127.0.0.1:{listener.getsockname()[1]}", mode="shadow", patience_s=patience_s)
     assert found.status.ended == "states.lost"
-    assert (found.status.released, found.exit_code) == (False, 4)
+    assert (found.status.released, found.exit_code) == (clock == "wall", 4)
     listener.close()
 
 
@@ -276,6 +283,7 @@ def test_a_control_that_breaks_off_is_a_fault_and_said(home: Home) -> None:
         (b"HTTP/1.1 400 Bad Request\r\n\r\n", "no axis link of this version"),
         (b'{"dtwin": 2}\n', "no axis link of this version"),
         (b'{"dtwin": 1, "period_s": -1}\n', "greeting cannot be used"),
+        (b'{"dtwin": 1, "period_s": 5e-324}\n', "greeting cannot be used"),
         (b'{"dtwin": 1, "period_s": 0.01, "watchdog_s": 1, "clock": "sun"}\n', "greeting cannot be used"),
         (b'{"dtwin": 1, "refused": "busy"}\n', "the control refuses"),
         (b'{"refused": "busy"}\n', "the control refuses"),

@@ -404,16 +404,23 @@ def test_a_redirection_is_not_followed(agent: Agent) -> None:
     assert agent.answers == 0
 
 
-def test_a_stamp_far_away_is_left_out(agent: Agent, url: str) -> None:
+@pytest.mark.parametrize(
+    ("ahead_s", "waiting", "why"), [(1e9, 9, "clock is more than an hour off"), (0.1, 0, "time does not come")]
+)
+def test_a_stamp_far_away_is_left_out_and_so_is_more_than_may_wait(
+    agent: Agent, url: str, monkeypatch: pytest.MonkeyPatch, ahead_s: float, waiting: int, why: str
+) -> None:
     agent.observe("xpos", "1", -1.0)
     with recorder(url) as device:
         device.start()
-        agent.observe("xpos", "7", 1e9)
+        device.read()
+        monkeypatch.setattr("dtwin.acquire._held._MOST_WAITING", waiting)
+        agent.observe("xpos", "7", ahead_s)
         agent.now_s = BEGUN_S + 0.3
         found = until(device, 0.3)
     assert set(column(found, "xact_mm")) == {1.0}
     assert [e.text for r in found for e in r.events if e.name == "recording"] == [
-        "values of xact_mm and perhaps others, whose clock is more than an hour off, are left out"
+        f"values of xact_mm and perhaps others, whose {why}, are left out"
     ]
 
 
