@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import smtplib
+import socket
 import ssl
 import threading
 import urllib.request
@@ -29,6 +30,7 @@ _WAIT_S = 15.0
 # Each wait above begins anew with every byte that a server sends.
 _LONGEST_S = 60.0
 _MAX_BYTES = 100_000
+_MOST_LINES = 1000
 
 
 class Channel(Protocol):
@@ -40,6 +42,31 @@ class Channel(Protocol):
 
     def send(self, title: str, text: str, alerts: Sequence[Mapping[str, str]]) -> None:
         """Send one message, or raise."""
+
+
+class _Lines:
+    """What a server says, line by line, and no more than ``_MOST_LINES``: each answer is kept whole, and may have any number of them."""
+
+    def __init__(self, connected: socket.socket) -> None:
+        self._file, self._read = connected.makefile("rb"), 0
+        self.close = self._file.close
+
+    def readline(self, longest: int) -> bytes:
+        """Return a line, or the beginning of a longer one."""
+        self._read += 1
+        if self._read > _MOST_LINES:
+            raise OSError(f"the server says more than {_MOST_LINES} lines")
+        return self._file.readline(longest)
+
+
+class _Smtp(smtplib.SMTP):
+    """A connection whose server must come to an end."""
+
+    def getreply(self) -> tuple[int, bytes]:
+        """Return an answer."""
+        if self.file is None and self.sock is not None:
+            self.file = _Lines(self.sock)
+        return super().getreply()
 
 
 @dataclass(frozen=True)
@@ -67,7 +94,7 @@ class _Email:
         message["Subject"], message["From"], message["To"] = title, self.sender, ", ".join(self.to)
         message.set_content(text)
         host, port = _host_and_port(self.smtp, "email.smtp")
-        with smtplib.SMTP(host, port, timeout=_WAIT_S) as server:
+        with _Smtp(host, port, timeout=_WAIT_S) as server:
             if not names_this_computer(host):
                 server.starttls(context=ssl.create_default_context())
             if self.user:

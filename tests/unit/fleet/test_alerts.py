@@ -7,6 +7,7 @@ import os
 import socket
 import threading
 from collections.abc import Iterator
+from contextlib import suppress
 from datetime import date
 from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
@@ -261,6 +262,22 @@ def test_no_secret_stands_in_what_is_said(
     with pytest.raises(InputError) as refused:
         channels_of(where)
     assert refused.value.got == "password"
+
+
+def test_a_mail_server_whose_answer_has_no_last_line_is_given_up() -> None:
+    """All its lines were kept: some 30 MB a second, and for ever."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+
+        def talk() -> None:
+            connected, _ = server.accept()
+            with connected, suppress(OSError):
+                while True:
+                    connected.sendall(b"220-and more\r\n")
+
+        threading.Thread(target=talk, daemon=True).start()
+        address = f"127.0.0.1:{server.getsockname()[1]}"
+        where = state(f'[email]\nsmtp = "{address}"\nsender = "a@b.example"\nto = ["a@b.example"]\n')
+        assert "more than 1000 lines" in try_channels(where)["email"]
 
 
 def test_a_server_that_never_ends_its_answer_holds_nothing_up(monkeypatch: pytest.MonkeyPatch) -> None:
