@@ -18,7 +18,7 @@ from dtwin.physics.several import fit_several
 from dtwin.physics.several_twin import SeveralTwin
 from dtwin.physics.twin import Twin
 from dtwin.twins.machine_twins import MachineTwins
-from dtwin.twins.measured import load
+from dtwin.twins.measured import load, rises_from_one
 from dtwin.twins.members import Cause
 from dtwin.twins.of_kind import AnyTwin, AnyTwins
 from dtwin.twins.shelf import TwinShelf
@@ -182,7 +182,7 @@ def _sizes(twins: AnyTwins, twin: AnyTwin, campaigns: Sequence[str]) -> Mapping[
     estimates: Sequence[Estimate] = twin.estimates
     all_told = False
     if tuple(campaigns) != twin.campaigns:
-        tests = [load(twins.home, campaign).obs for campaign in campaigns]
+        tests = [one.obs for one in rises_from_one([load(twins.home, campaign) for campaign in campaigns])]
         seen = {key_of(t): s for t in twin.terms for obs in tests if (s := seen_by(t, obs, twins.library)) is not None}
         terms = list(seen.values())
         made = fit(tests[0], terms) if len(tests) == 1 else fit_several(tests, terms, twins.library)

@@ -12,7 +12,7 @@ import tokenize
 import zipfile
 import zlib
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -135,6 +135,26 @@ def load(home: Home, campaign: str) -> Loaded:
     }
     obs, controller_um = _reduced(home, lake, found, usable)
     return Loaded(obs, data | {"wander_um": obs.wander_um}, controller_um)
+
+
+def rises_from_one(loaded: Sequence[Loaded]) -> list[Loaded]:
+    """Return campaigns that count rises of a temperature from one value, the mean of their means.
+
+    From the mean of each, growth between them would be another scale of each.
+    """
+    told = common_temperatures([one.obs for one in loaded])
+    return [replace(one, obs=from_temperatures(one.obs, told)) for one in loaded]
+
+
+def common_temperatures(campaigns: Sequence[Observations]) -> dict[str, float]:
+    """Return what several campaigns count rises of their temperatures from, degC, by column."""
+    every = [(name, mean) for obs in campaigns for name, mean in obs.means.items() if name.endswith("_c")]
+    return {name: float(np.mean([mean for other, mean in every if other == name])) for name, _ in every}
+
+
+def from_temperatures(obs: Observations, told: Mapping[str, float]) -> Observations:
+    """Return a campaign that counts rises from given temperatures, degC, by column."""
+    return replace(obs, told_from={name: told[name] for name in obs.means if name in told}) if told else obs
 
 
 def _error_in(row: Mapping[str, Any]) -> str:

@@ -24,6 +24,7 @@ from dtwin.physics.experiment import next_experiment
 from dtwin.physics.fit import fit
 from dtwin.physics.library import Library
 from dtwin.physics.machine_terms import key_of, machine_terms
+from dtwin.physics.observations import Observations
 from dtwin.physics.problem import Term
 from dtwin.physics.several_diagnosis import diagnose_several
 from dtwin.physics.several_twin import SeveralTwin, seen_in
@@ -45,7 +46,7 @@ from dtwin.twins._kept_diagnosis import (
 from dtwin.twins._learned import WithLearned, twin_from
 from dtwin.twins._path_member import PathMember
 from dtwin.twins.budget_spread import BudgetSpread, spread_budget
-from dtwin.twins.measured import Comparison, Loaded, load
+from dtwin.twins.measured import Comparison, Loaded, common_temperatures, from_temperatures, load, rises_from_one
 from dtwin.twins.several import SeveralComparison, fitted_together, require_together
 from dtwin.twins.shelf import PATHS, TwinShelf, effect_absent, effect_there, logged_together, require_same_machine
 
@@ -103,7 +104,7 @@ class Twins(TwinShelf):
 
     def compared(self, twin: Twin, loaded: Loaded) -> Comparison:
         """Compare a twin with one campaign."""
-        obs = loaded.obs
+        obs = self._seen_by(twin, loaded.obs)
         require_same_machine(twin.name, twin.machine, obs.campaign.name, obs.campaign.machine)
         warnings = data_lines(loaded.data)
         if isinstance(twin, SeveralTwin):
@@ -131,7 +132,7 @@ class Twins(TwinShelf):
                 allowed=twin.campaign,
                 hint=f"--on {twin.campaigns[0]}",
             )
-        obs = self._seen_by(twin, load(self.home, campaign or twin.campaign)).obs
+        obs = self._seen_by(twin, load(self.home, campaign or twin.campaign).obs)
         require_same_machine(twin.name, twin.machine, obs.campaign.name, obs.campaign.machine)
         terms = twin.terms
         if isinstance(twin, SeveralTwin):
@@ -258,7 +259,7 @@ class Twins(TwinShelf):
 
     def members(self, campaigns: Sequence[str]) -> Sequence[PathMember]:
         """Return campaigns of the lake as a part of a twin of several kinds, all in one fit."""
-        return [PathMember(self, [load(self.home, campaign) for campaign in campaigns])]
+        return [PathMember(self, rises_from_one([load(self.home, campaign) for campaign in campaigns]))]
 
     def stored(self, document: Mapping[str, Any]) -> Twin:
         """Return the twin of a document."""
@@ -266,15 +267,14 @@ class Twins(TwinShelf):
 
     def against(self, twin: Twin, campaign: str) -> Comparison:
         """Compare a twin with measurements."""
-        return self.compared(twin, self._seen_by(twin, load(self.home, campaign)))
+        return self.compared(twin, load(self.home, campaign))
 
-    def _seen_by(self, twin: Twin, loaded: Loaded) -> Loaded:
-        """Return another campaign with rises of temperature from what the twin was fitted at: growth in between is foretold, too."""
-        needed = {name for term in twin.terms for name in term.instance.effect.needs if name.endswith("_c")}
-        if isinstance(twin, SeveralTwin) or loaded.obs.campaign.name == twin.campaign or not needed:
-            return loaded
-        means = load(self.home, twin.campaign).obs.means
-        return replace(loaded, obs=replace(loaded.obs, told_from={n: means[n] for n in needed}))
+    def _seen_by(self, twin: Twin, obs: Observations) -> Observations:
+        """Return a campaign with rises of temperature from what the twin was fitted at: growth in between is foretold, too."""
+        grows = any(name.endswith("_c") for term in twin.terms for name in term.instance.effect.needs)
+        if not grows or twin.campaigns == (obs.campaign.name,):
+            return obs
+        return from_temperatures(obs, common_temperatures([load(self.home, name).obs for name in twin.campaigns]))
 
     def newest(self, name: str, version: int | None = None) -> Twin:
         """Return a version of a twin, the newest one without a number; errors as of :meth:`newest_document`."""
@@ -286,7 +286,7 @@ class Twins(TwinShelf):
             names = [in_lake(self.home, campaign) for campaign in campaigns]
             known = [Lake(self.home.lake).campaign(name) for name in names]
             require_together([(c.name, c.machine, c.kind) for c in known])
-            campaigns = names
+            return rises_from_one([load(self.home, name) for name in names])
         return [load(self.home, campaign) for campaign in campaigns]
 
     def _terms(self, effects: Sequence[str], loaded: Sequence[Loaded], axis: str = "") -> list[Term]:

@@ -21,6 +21,7 @@ from dtwin.errors import GateRefusal, InputError, StoreError
 from dtwin.lake.store import Lake
 from dtwin.locks import take
 from dtwin.physics.library import Library
+from dtwin.physics.several_twin import SeveralTwin
 from dtwin.report.twins import twin_text
 from dtwin.train.residual_formula import place_map, place_map_effect
 from dtwin.train.symbolic import OperonEngine
@@ -381,6 +382,13 @@ def test_a_warmer_day_is_foretold_from_the_temperature_of_the_fit(home: Home, tm
     left = twins.compare("t", str(tmp_path / "warm")).as_dict()
     assert left["systematic_rms_um"] < 0.5, "5 K make an oval of 3.2 µm RMS"
     assert twins.budget(twin, "warm")[0].left_um < 0.6
+    # In one twin the machine has not changed: it was warmer.
+    both = twins.fit(["cold", "warm"], [*KNOWN, "thermal_growth:X"], "both")
+    assert isinstance(both, SeveralTwin)
+    assert both.contradictions == ()
+    (growth,) = (e for e in both.estimates if e.effect == "thermal_growth")
+    assert growth.value == pytest.approx(12.0, abs=0.2)
+    assert all(twins.compare("both", name).as_dict()["systematic_rms_um"] < 0.5 for name in ("cold", "warm"))
 
 
 def test_mistakes_are_named(twins: Twins, home: Home) -> None:

@@ -104,8 +104,7 @@ class _Logged(Mapping[str, Any]):
         value = Traced([self.builder.input(source)])
         if source == name:
             return value
-        mean = _mean(self.obs, source)
-        return value - mean
+        return value - self.obs.means[source]
 
     def __iter__(self) -> Any:
         return iter(self.names)
@@ -118,12 +117,6 @@ class _Logged(Mapping[str, Any]):
             return name
         plain = name.removesuffix("_rise_c") + "_c"
         return plain if name.endswith("_rise_c") and plain in self.names else None
-
-
-def _mean(obs: Observations, name: str) -> float:
-    values = np.array([float(m.covariates[name]) for m in obs.runs])
-    weights = obs.mask.sum(axis=1)
-    return float((values * weights).sum() / weights.sum())
 
 
 @dataclass(frozen=True)
