@@ -33,6 +33,7 @@ class _WarmMill(VirtualMachine):
             quick=request.quick,
             plan=request.plan,
             parameters=parameters_of(truth),
+            test=request.plan.name if request.plan else "",
         )
         payload = {"folder": str(out), "truth": truth, "schedule": schedule, "cycles": cycles}
         return Simulated(payload, [f"{cycles} cycles in {out}", f"next: dtwin ingest {out}"])

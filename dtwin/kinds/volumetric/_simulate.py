@@ -48,6 +48,7 @@ def simulate_volumetric(
     quick: bool = False,
     parameters: VolumetricParameters | None = None,
     plan: BallPlan | None = None,
+    test: str = "",
 ) -> int:
     """Measure the virtual mill for days and write a campaign folder.
 
@@ -57,13 +58,14 @@ def simulate_volumetric(
     ``seed``: of the machine; both campaigns of one machine need the same.
     ``quick``: every third cycle only.
     ``plan``: hours, and how often; the array and its poses are the machine's own.
+    ``test``: what scatters is of its own in a test of another name.
     Returns cycles that were measured.
     Raises ``InputError`` when the folder holds a finished campaign, or there is no such schedule.
     """
     require_no_campaign(folder)
     if schedule not in SCHEDULES:
         raise InputError("no such schedule", code="simulate.schedule", got=schedule[:40], allowed=", ".join(SCHEDULES))
-    mill = VolumetricMill(SCHEDULES[schedule], parameters or VolumetricParameters(), seed, plan.name if plan else "")
+    mill = VolumetricMill(SCHEDULES[schedule], parameters or VolumetricParameters(), seed, test)
     cycles = _planned_cycles(plan, mill) if plan else range(0, mill.cycles, _QUICK_EVERY if quick else 1)
     folder.mkdir(parents=True, exist_ok=True)
     name, machine = (plan.name, plan.machine) if plan else (f"volumetric-{schedule}", MACHINE)
