@@ -94,9 +94,9 @@ function sketched(canvas, { data, layout }) {
   });
   ((angular || {}).ticktext || []).forEach((name, i) => written(name, at(angular.tickvals[i], 1.07 * radial.range[1]), 13));
   for (const { theta, r: lengths, line, mode } of data) {
-    if (mode !== "lines") continue;
+    if (mode !== "lines" || !theta || !lengths) continue;
     const angles = numbers(theta);
-    const points = Array.from(numbers(lengths), (length, i) => at(angles[i], length).join());
+    const points = Array.from(numbers(lengths), (length, i) => (Number.isFinite(length) ? at(angles[i], length).join() : ""));
     added("polyline", { points: points.join(" "), stroke: line.color, "stroke-width": line.width, "stroke-dasharray": DASHES[line.dash] || "" });
   }
   canvas.replaceChildren(svg);
