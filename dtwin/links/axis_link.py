@@ -177,7 +177,7 @@ class AxisLink(StateLines):
     def _greeting(self, told: Mapping[str, object]) -> Greeting:
         period, watchdog, clock = (told.get(n) for n in ("period_s", "watchdog_s", "clock"))
         axes = told.get("axes")
-        if not (is_number(period) and _SHORTEST_S <= period < 60.0):
+        if not (is_number(period) and _SHORTEST_S <= period <= 60.0):
             raise self._unusable(f"period_s {period}")
         if not (is_number(watchdog) and 0.0 < watchdog <= 60.0):
             raise self._unusable(f"watchdog_s {watchdog}")

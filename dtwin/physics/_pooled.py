@@ -35,7 +35,7 @@ class Part:
     ``number_of``: which term of the machine each of them is.
     ``columns``, (rows * n, k): set-up terms, then effects.
     ``row_weight``, (rows,): of each row within the campaign; 1 in a fit that is not robust.
-    ``weight``: of the campaign: one by what its runs scatter and miss, 1/um.
+    ``weight``: of the campaign, 1/um: one by what is left within its runs, less where it knows less than so many independent readings.
     """
 
     problem: Problem

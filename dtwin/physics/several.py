@@ -95,8 +95,8 @@ def fit_several(
 ) -> SeveralFit:
     """Fit effects of a machine to several of its campaigns: one least squares over all of them.
 
-    Within a campaign all harmonics weigh alike, as where it is fitted alone; between campaigns weighs one by the square of
-    what is left within its runs: its noise floor without the wander of its zero, and what the laws miss.
+    Within a campaign all harmonics weigh alike, as where it is fitted alone; a campaign weighs by the uncertainty that it leaves,
+    fitted alone, of what campaigns share (unit of replication: the run; the condition where the laws miss more than the noise).
 
     ``terms``: effects of the machine; shape parameters are refined from where they are.
     ``robust``: give runs that are far off less weight (Huber, by run).

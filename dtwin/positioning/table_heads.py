@@ -61,9 +61,7 @@ _INDEX = re.compile(
 _COUNTED = re.compile(r"(target|point|punkt|pos\w*|soll\w*|ziel\w*)[ ._]+i", re.I)
 """Head of a column of targets, or, where another one holds them, of their numbers."""
 _DEVIATION = re.compile(r"dev(?!ic)|err|abw|fehler|[eé]cart|scost|desv|偏差|误差|誤差", re.I)
-_CORRECTION = re.compile(
-    r"(correction|compensation|korrektur|kompensation)\b|(?<![^\W_])(corr|comp|korr|komp)(?![^\W_])", re.I
-)
+_CORRECTION = re.compile(r"((correct|[ck]ompensat)ion|korrektur)\b|(?<![^\W_])[ck]o(rr|mp)(?![^\W_])", re.I)
 _NOT_READ = re.compile(
     r"toleran[cz]|\blimit|grenz(e|wert)|allow|zul[äa]ssig|permi(tted|ssible)|uncertaint|unsicherheit|±|following|schlepp|predict|expect|vorhers|simulat|smooth|gegl[äa]tt|\brms\b|squared|increment|(?<![^\W_])(abs|yaw|roll)(?![^\W_])|^\||nominal[\s_]+(err|dev|abw|fehl)|\bcode\b|standard.?(dev|abw)",
     re.I,

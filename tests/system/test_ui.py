@@ -268,9 +268,7 @@ def test_a_real_recording_is_dropped_on_the_page(page: Page, bench: Workbench, r
     _settled(page)
     expect(page.get_by_text("spectrum of one run")).to_be_visible()
     assert "tests are decided by those in their files" in bench.ask("/machines/ur10e-error-map")[1]
-
-
-def test_a_polar_plot_stands_as_lines_before_plotly_does(page: Page, bench: Workbench) -> None:
+    # Before the drawing library runs, a polar plot stands as lines.
     page.route("**/plotly.js*", lambda route: route.abort())
     page.goto(f"{bench.base}/campaigns/ur10e")
     expect(page.locator("#sheet ~ .plot")).to_contain_text("plotly.js did not load")
