@@ -103,8 +103,7 @@ def run(
     ``effects_path``: folder of the user's own effects.
     ``announce``: gets the address, once it answers.
     """
-    # Plotly looks into a pandas that is loaded: while the thread below loaded it (MLflow does), a page that draws failed.
-    import_module("pandas")
+    _load_libraries()
     access = Access(host, int(listening.getsockname()[1]), private, home=home)
     bench = Bench(home, access, effects_path)
     threading.Thread(target=_warm, args=(bench,), daemon=True).start()
@@ -178,6 +177,13 @@ def _broken(request: Request, error: Exception) -> Response:
     if (fault := fault_of(error)) is not None:
         return refused(request, fault)
     return Response("Internal Server Error", 500, media_type="text/plain")
+
+
+def _load_libraries() -> None:
+    """Load, before a second thread runs, libraries whose parts import one another: two threads at once got half of one, and a page failed."""
+    # Plotly looks into a pandas that is loaded; nearly every part of SciPy is behind its optimize.
+    for name in ("pandas", "scipy.optimize"):
+        import_module(name)
 
 
 def _warm(bench: Bench) -> None:
