@@ -12,7 +12,7 @@ from dtwin.physics.state import State
 from dtwin.schema import Floats
 
 # Enough for the shapes of a campaign in three planes; with each what is told beside the columns.
-_MOST_BYTES, _BESIDE_BYTES = 100_000_000, 1000
+_MOST_BYTES, _BESIDE_BYTES = 250_000_000, 1000
 _lock = threading.Lock()
 _kept: OrderedDict[Hashable, Floats] = OrderedDict()
 _held_bytes = 0
