@@ -20,9 +20,9 @@ quiet() { nice -n 10 "$@"; }
     exit "${failed:-0}"
 ) &
 beside=$!
-# Collects all, so that what the tests import is compiled and their asserts are rewritten, and runs tests that train, by which numba
+# Collects all, so that what the tests import is compiled and their asserts are rewritten, and runs a test that trains, by which numba
 # compiles (20 s): every worker would do both for itself. Whatever fails here fails below, too.
-[ $# -gt 0 ] || .venv/bin/python -m pytest -q -m "not long" -k test_scheduled >/dev/null || true
+[ $# -gt 0 ] || .venv/bin/python -m pytest -q -m "not long" -k test_what_was_trained_on_is_not_new >/dev/null || true
 # Of .ci/run: what only the tests need.
 [ -z "${installing:-}" ] || wait "$installing"
 tests=0

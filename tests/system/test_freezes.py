@@ -17,7 +17,7 @@ SCRIPT = Path(__file__).parents[2] / "benchmarks" / "freezes" / "run.py"
     "link",
     [
         "robot",
-        "axes",
+        pytest.param("axes", marks=pytest.mark.long),
         pytest.param("axes, machine clock", marks=pytest.mark.long),
         pytest.param("analogue", marks=pytest.mark.long),
         pytest.param("linuxcnc", marks=pytest.mark.long),

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from dtwin.machines.mill import VirtualMill
 from dtwin.machines.mill_parameters import CircularTest, MillParameters, NoiseParameters
@@ -23,6 +24,7 @@ def pulled(run: Run, um: float, at_mm: float, share: float) -> Run:
     return replace(run, samples={**run.samples, "deviation_um": run.samples["deviation_um"] + um * aside * y})
 
 
+@pytest.mark.long
 def test_what_is_a_small_part_of_something_unknown_has_no_name() -> None:
     faults = MillParameters(squareness_um_m={"XY": 30.0}).with_axis("X", play_um=2.0)
     made = VirtualMill(faults, seed=1, noise=NoiseParameters(rms_um=0.15))

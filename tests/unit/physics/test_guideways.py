@@ -96,6 +96,7 @@ def edge(moment: Moment) -> Floats:
     return np.asarray(8.0 / (1.0 + np.exp(-(x_mm - 20.0) / 2.5)) * np.sin(moment.angle_rad))
 
 
+@pytest.mark.long
 def test_a_curve_that_only_follows_a_step_is_no_shape_of_a_guideway() -> None:
     found = diagnose(measured(MillParameters().with_axis("Y", play_um=6.0), edge), [], LIBRARY)
     named = [{s.label for s in group} for group in found.found]
