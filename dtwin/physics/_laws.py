@@ -20,6 +20,8 @@ _CONFIRMED = 0.3
 _ALPHA = 0.002
 _ALPHA_MEASURED_WELL = 0.005
 _CERTAIN = 0.05
+# Half the relative difference of the directions; what happens in one of them has 1.
+_ONE_WAY = 0.6
 # Time constants of a body that follows a logged channel, as shares of the campaign's length.
 _SLOW = (0.1, 0.3, 1.0)
 
@@ -85,6 +87,8 @@ def law_tests(problem: Problem, candidates: Candidates, candidate: Candidate, le
         # The effect as fitted, scaled by the contrast: one column, whatever the effect has.
         profile = along * contrast[:, None]
         tests = _tested(with_it, variable, profile, level, within, least)
+        if variable == "direction" and level.misfit is not None:
+            tests = [_perhaps_beside(test) for test in tests]
         out += tests
         if any(test.p_value < _CERTAIN for test in tests):
             missed = _with(missed, profile)
@@ -154,6 +158,16 @@ def _tested(
     sign = float(np.sign(visible[:, 0] @ column[:, 0]))
     shift = sign * float(visible[:, 0] @ with_it.residual.ravel()) / size
     return [LawTest(variable, score.p_value, shift, float(np.sqrt(score.expected)) / size)]
+
+
+def _perhaps_beside(test: LawTest) -> LawTest:
+    """Return the test of a direction law where something unknown is left, which may be all that differs.
+
+    What is the same both ways leaves the half that is not as it is, and the other way round.
+    """
+    if abs(test.shift) > _ONE_WAY:
+        return test
+    return replace(test, p_value=1.0, uncertainty=max(test.uncertainty, abs(test.shift)))
 
 
 def _best_of(tests: list[LawTest]) -> LawTest:

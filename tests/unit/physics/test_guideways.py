@@ -11,6 +11,7 @@ from mill_and_laser import circular_tests
 from dtwin.acquire.virtual_mill import _standard_tests
 from dtwin.machines.mill import Disturbance, Moment, VirtualMill
 from dtwin.machines.mill_parameters import MillParameters, NoiseParameters
+from dtwin.physics._laws import LawTest, _perhaps_beside
 from dtwin.physics.candidates import applicable
 from dtwin.physics.diagnose import diagnose
 from dtwin.physics.experiment import detectable
@@ -97,12 +98,25 @@ def edge(moment: Moment) -> Floats:
 
 
 @pytest.mark.long
-def test_a_curve_that_only_follows_a_step_is_no_shape_of_a_guideway() -> None:
-    found = diagnose(measured(MillParameters().with_axis("Y", play_um=6.0), edge), [], LIBRARY)
+@pytest.mark.parametrize("repeats", [2, 3])
+def test_a_curve_that_only_follows_a_step_is_no_shape_of_a_guideway(repeats: int) -> None:
+    # Of two repeats the play seemed to differ by direction, and was not told.
+    machine = VirtualMill(MillParameters().with_axis("Y", play_um=6.0), seed=4, disturbance=edge)
+    tests = [test for test in _standard_tests(4, planes=("XY",)) if test.repeat <= repeats]
+    found = diagnose(observe(machine.campaign(), machine.measure(tests)), [], LIBRARY)
     named = [{s.label for s in group} for group in found.found]
     assert {"backlash Y"} in named
     assert not any("guideway_shape X" in group for group in named)
     assert found.unresolved is not None
+
+
+def test_beside_something_unknown_a_law_of_direction_is_broken_by_what_happens_one_way_only() -> None:
+    perhaps = _perhaps_beside(LawTest("direction", 1e-9, 0.47, 0.04))
+    assert not perhaps.broken
+    assert not perhaps.confirmed
+    assert _perhaps_beside(LawTest("direction", 1e-9, 0.95, 0.04)).broken
+    exact = LawTest("direction", 1.0, 0.02, 0.04)
+    assert _perhaps_beside(exact) == exact
 
 
 def lengthening(moment: Moment) -> Floats:
