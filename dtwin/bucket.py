@@ -171,8 +171,8 @@ class Objects:
         return self._ask(name, write)
 
     def _ask(self, name: str, call: Callable[[], _Answer], *, missing: bool = False) -> _Answer:
-        """Return what a call of the library returns, which does not hear Ctrl-C while it waits; see :func:`told`."""
-        with told(self.bucket, name, missing=missing):
+        """Return what a call of the library returns, which does not hear Ctrl-C while it waits; see :func:`_told`."""
+        with _told(self.bucket, name, missing=missing):
             return interruptible(call)
 
 
@@ -201,7 +201,7 @@ def _opened(bucket: Bucket, _environment: tuple[tuple[str, str], ...]) -> S3Stor
     from obstore.store import S3Store
 
     about: dict[str, Any] = {"endpoint": bucket.endpoint} if bucket.endpoint else {}
-    with told(bucket, ""):
+    with _told(bucket, ""):
         return S3Store(
             bucket.name,
             prefix=bucket.prefix or None,
@@ -234,7 +234,7 @@ def delta_options(bucket: Bucket) -> dict[str, str]:
 
 
 @contextmanager
-def told(bucket: Bucket, name: str, *, missing: bool = False) -> Iterator[None]:
+def _told(bucket: Bucket, name: str, *, missing: bool = False) -> Iterator[None]:
     """Turn what goes wrong at a store into an error that says what, where and what to try.
 
     ``missing``: whether an object that is not there is an answer: it raises FileNotFoundError.

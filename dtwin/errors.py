@@ -8,7 +8,7 @@ from functools import cached_property
 
 EXIT_DONE = 0
 EXIT_USER = 1
-EXIT_COMMAND_LINE = 2
+_EXIT_COMMAND_LINE = 2
 EXIT_GATE = 3
 EXIT_DEVICE = 4
 EXIT_INTERRUPTED = 130
@@ -126,7 +126,7 @@ class InputError(DtwinError):
 class CommandLineError(InputError):
     """Arguments or options that the command does not have, or lacks."""
 
-    exit_code = EXIT_COMMAND_LINE
+    exit_code = _EXIT_COMMAND_LINE
 
 
 class StoreError(DtwinError):

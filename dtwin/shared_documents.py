@@ -37,7 +37,7 @@ _INDEX, _ASIDE = "shared.json", "set-aside"
 _EVERY_S, _TRIES, _MAX_LIST = 5.0, 12, 8_000_000
 _UNNAMED_FOR = timedelta(days=7)
 _NOT_SHARED, _LONGEST = (".lock", ".partial"), 200
-Files = dict[str, str]
+_Files = dict[str, str]
 """Hash of the content of each file of a unit."""
 
 
@@ -46,7 +46,7 @@ class _Known:
     """What the store had of a unit when this home last looked, and what the files looked like then."""
 
     tag: str = ""
-    files: Files = field(default_factory=dict)
+    files: _Files = field(default_factory=dict)
     stamps: dict[str, list[int]] = field(default_factory=dict)
 
 
@@ -161,7 +161,7 @@ class _Copy:
                 hint="look at what is there now, and run this again if it is still wanted",
             )
 
-    def _joined(self, unit: str, known: _Known, mine: Files) -> None:
+    def _joined(self, unit: str, known: _Known, mine: _Files) -> None:
         for attempt in range(_TRIES):
             theirs, tag = _listed(self.objects, unit)
             merged, lost = _merged(known.files, mine, theirs)
@@ -181,7 +181,7 @@ class _Copy:
             "other computers keep changing the same", code="shared.busy", where=unit, hint="run this again"
         )
 
-    def _put(self, unit: str, merged: Files, tag: str) -> str | None:
+    def _put(self, unit: str, merged: _Files, tag: str) -> str | None:
         """Write what the store lacks, then the list; return its tag, None when another computer was faster."""
         folder = self.home.root
         for name, digest in merged.items():
@@ -197,7 +197,7 @@ class _Copy:
         name = f"{_LISTS}/{unit}.json"
         return self.objects.replace(name, text, tag) if tag else self.objects.put_new(name, text)
 
-    def _fetched(self, unit: str, mine: Files, theirs: Files, merged: Files) -> None:
+    def _fetched(self, unit: str, mine: _Files, theirs: _Files, merged: _Files) -> None:
         """Write here what the store has anew, and remove what it has no more."""
         place = self.home.root / unit
         for name, digest in merged.items():
@@ -235,7 +235,7 @@ class _Copy:
                 if _is_unit(f"{folder}/{entry.name}"):
                     yield f"{folder}/{entry.name}"
 
-    def _seen(self, unit: str, known: _Known) -> Files:
+    def _seen(self, unit: str, known: _Known) -> _Files:
         """Return the hashes of the files of a unit as they were at one moment; those that look as before are not read."""
         place = self.home.root / unit
         while True:
@@ -271,7 +271,7 @@ class _Copy:
             write_text(path, text, "what is known of the shared store", private=True)
 
 
-def shared_units(bucket: Bucket) -> dict[str, Files]:
+def shared_units(bucket: Bucket) -> dict[str, _Files]:
     """Return the files of each unit that a store has, by the hash of their content; those of other versions of dtwin, too."""
     objects = Objects(bucket)
     units = [_unit_of(stored.name) for stored in objects.list(f"{_LISTS}/")]
@@ -302,7 +302,7 @@ def shared_content(bucket: Bucket, digest: str) -> bytes:
     return _content(Objects(bucket), digest)
 
 
-def _listed(objects: Objects, unit: str) -> tuple[Files, str]:
+def _listed(objects: Objects, unit: str) -> tuple[_Files, str]:
     """Return the files that the store has of a unit, and the tag of their list; empty for none."""
     name = f"{_LISTS}/{unit}.json"
     try:
@@ -334,7 +334,7 @@ def _content(objects: Objects, digest: str) -> bytes:
     return data
 
 
-def _merged(base: Files, mine: Files, theirs: Files) -> tuple[Files, Files]:
+def _merged(base: _Files, mine: _Files, theirs: _Files) -> tuple[_Files, _Files]:
     """Return the files that hold from now on, and those of this home that another computer contradicts.
 
     Where one file was changed by both, all that was changed here gives way: files of a unit belong together.

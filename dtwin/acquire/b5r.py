@@ -20,7 +20,7 @@ from dtwin.errors import InputError
 from dtwin.local_time import was_set
 from dtwin.schema import Direction, Finding, Floats, Run, RunMeta, standard_plane
 
-MAX_READINGS = 5_000_000
+_MAX_READINGS = 5_000_000
 _VENDOR_FIGURES = {
     "AF_CENTRE_OFFSET_A": ("centre_a_um", 1000.0),
     "AF_CENTRE_OFFSET_B": ("centre_b_um", 1000.0),
@@ -121,13 +121,13 @@ def _read_run(element: Element, bar: Element, started: str, path: Path, scaled: 
             allowed="CCW or CW",
         )
     readings_mm = parse_readings(child_text(element, "READINGS"), where)
-    if not 3 <= readings_mm.size <= MAX_READINGS:
+    if not 3 <= readings_mm.size <= _MAX_READINGS:
         raise InputError(
             "unusable number of readings",
             code="b5r.readings",
             where=where,
             got=str(readings_mm.size),
-            allowed=f"3 to {MAX_READINGS}",
+            allowed=f"3 to {_MAX_READINGS}",
         )
     start = _whole(element, "START_INDEX", where) - 1
     end = _whole(element, "END_INDEX", where)
@@ -352,7 +352,7 @@ def _number(element: Element, tag: str, where: str, *, low: float, high: float) 
 
 
 def _whole(element: Element, tag: str, where: str) -> int:
-    value = _number(element, tag, where, low=1, high=MAX_READINGS)
+    value = _number(element, tag, where, low=1, high=_MAX_READINGS)
     if value != int(value):
         raise InputError(f"{tag} is not a whole number", code="b5r.field", where=where, got=str(value))
     return int(value)

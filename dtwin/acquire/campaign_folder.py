@@ -37,7 +37,7 @@ from dtwin.schema import (
 )
 
 _NUMBERS = ("radius_mm", "feed_mm_min")
-MAX_TOML_BYTES = 16 * 1024 * 1024
+_MAX_TOML_BYTES = 16 * 1024 * 1024
 RUN_KEYS = frozenset(
     {
         "id",
@@ -126,7 +126,7 @@ def open_campaign(folder: Path) -> CampaignFolder:
             "your own: docs/how-to/ingest-your-own.md",
         )
     try:
-        document = tomllib.loads(read_bounded(path, MAX_TOML_BYTES).decode("utf-8-sig"))
+        document = tomllib.loads(read_bounded(path, _MAX_TOML_BYTES).decode("utf-8-sig"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
         raise InputError(
             "campaign.toml is not readable", code="campaign.toml", where=str(path), got=str(error)

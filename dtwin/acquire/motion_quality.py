@@ -20,7 +20,7 @@ _TURN_TOLERANCE = 0.05
 _OTHER_FEED = 4.0
 _STOP_S = 0.15
 _LEAD_IN = 3.0
-Indices = NDArray[np.int64]
+_Indices = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class Motion:
     ``half_turns_samples``: samples from stop to stop.
     """
 
-    stops: Indices
+    stops: _Indices
     period_samples: float
     lead_in_samples: int
     half_turns_samples: tuple[int, ...]
@@ -153,7 +153,7 @@ def _programmed_revolution(run: Run) -> float:
     return 2.0 * np.pi * radius / (feed / 60.0) * run.meta.sample_rate_hz
 
 
-def _half_turn_chain(stops: Indices, half: float) -> Indices:
+def _half_turn_chain(stops: _Indices, half: float) -> _Indices:
     """Keep the longest chain of stops that follow each other about half a turn apart."""
     best: list[int] = []
     for start in range(len(stops)):

@@ -14,7 +14,7 @@ _SPECTRUM = "Welch, IEEE Trans. Audio Electroacoust. 15 (1967), one segment, no 
 
 
 @dataclass(frozen=True)
-class Feature:
+class _Feature:
     """Definition of one feature of one channel over one window x[0..n-1].
 
     Attributes:
@@ -30,26 +30,26 @@ class Feature:
     spectral: bool = False
 
 
-FEATURES: tuple[Feature, ...] = (
-    Feature("mean_absolute_value", "channel", "sum |x| / n", _MACHINE_CONDITION),
-    Feature("variance", "channel^2", "m2 = sum (x - mu)^2 / n", _MOMENTS),
-    Feature("rms", "channel", "sqrt(sum x^2 / n)", _MACHINE_CONDITION),
-    Feature("peak_amplitude", "channel", "max |x|", _MACHINE_CONDITION),
-    Feature("shape_factor", "1", "rms / mean_absolute_value", _MACHINE_CONDITION),
-    Feature("impulse_factor", "1", "max |x| / mean_absolute_value", _MACHINE_CONDITION),
-    Feature("crest_factor", "1", "max |x| / rms", _MACHINE_CONDITION),
-    Feature("kurtosis", "1", "(sum (x - mu)^4 / n) / m2^2; 3 for Gaussian noise", _MOMENTS),
-    Feature("skewness", "1", "(sum (x - mu)^3 / n) / m2^1.5", _MOMENTS),
-    Feature("dominant_frequency", "Hz", "frequency of the largest P[k]", _SPECTRUM, True),
-    Feature("mean_frequency", "Hz", "sum f[k] P[k] / sum P[k]", _SPECTRUM, True),
-    Feature("band_power", "channel^2", "sum P[k] over low <= f[k] < high", _SPECTRUM, True),
-    Feature("total_power", "channel^2", "sum x^2 / n, the mean included", _SPECTRUM),
+FEATURES: tuple[_Feature, ...] = (
+    _Feature("mean_absolute_value", "channel", "sum |x| / n", _MACHINE_CONDITION),
+    _Feature("variance", "channel^2", "m2 = sum (x - mu)^2 / n", _MOMENTS),
+    _Feature("rms", "channel", "sqrt(sum x^2 / n)", _MACHINE_CONDITION),
+    _Feature("peak_amplitude", "channel", "max |x|", _MACHINE_CONDITION),
+    _Feature("shape_factor", "1", "rms / mean_absolute_value", _MACHINE_CONDITION),
+    _Feature("impulse_factor", "1", "max |x| / mean_absolute_value", _MACHINE_CONDITION),
+    _Feature("crest_factor", "1", "max |x| / rms", _MACHINE_CONDITION),
+    _Feature("kurtosis", "1", "(sum (x - mu)^4 / n) / m2^2; 3 for Gaussian noise", _MOMENTS),
+    _Feature("skewness", "1", "(sum (x - mu)^3 / n) / m2^1.5", _MOMENTS),
+    _Feature("dominant_frequency", "Hz", "frequency of the largest P[k]", _SPECTRUM, True),
+    _Feature("mean_frequency", "Hz", "sum f[k] P[k] / sum P[k]", _SPECTRUM, True),
+    _Feature("band_power", "channel^2", "sum P[k] over low <= f[k] < high", _SPECTRUM, True),
+    _Feature("total_power", "channel^2", "sum x^2 / n, the mean included", _SPECTRUM),
 )
 FEATURE_NAMES: tuple[str, ...] = tuple(feature.name for feature in FEATURES)
 _BY_NAME = {feature.name: feature for feature in FEATURES}
 
 
-def feature(name: str) -> Feature:
+def feature(name: str) -> _Feature:
     """Return the definition of a feature. Raises ``InputError`` when there is no such feature."""
     if name not in _BY_NAME:
         raise InputError("unknown feature", code="features.unknown", got=name[:80], allowed=", ".join(FEATURE_NAMES))

@@ -60,12 +60,12 @@ PATH_INPUT_UNITS: dict[str, str] = {
     "programmed_feed_mm_min": "mm/min",
 }
 
-CARRY_SIZE = 14
+_CARRY_SIZE = 14
 _TURN = 2.0 * np.pi
 
 
 @compiled
-def path_inputs_kernel(
+def _path_inputs_kernel(
     state: Floats, index: NDArray[np.int64], dh: Floats, tcp_mm: Floats, carry: Floats, out: Floats
 ) -> None:
     """Write the path inputs of one sample.
@@ -160,7 +160,7 @@ def _path_inputs_many(
         if n:
             out[n, 20:23] = out[n - 1, 20:23]
             out[n, 27:30] = out[n - 1, 27:30]
-        path_inputs_kernel(states[n], index, dh, tcp_mm, carry, out[n])
+        _path_inputs_kernel(states[n], index, dh, tcp_mm, carry, out[n])
 
 
 class PathInputs:
@@ -185,7 +185,7 @@ class PathInputs:
         self._index = np.array([field_index[name] for name in STATE_FIELDS], dtype=np.int64)
         self._tcp_mm = np.ascontiguousarray(tcp_mm, dtype=np.float64)
         self._dh = np.ascontiguousarray(UR10E.dh, dtype=np.float64)
-        self._carry = np.zeros(CARRY_SIZE)
+        self._carry = np.zeros(_CARRY_SIZE)
         self.values = np.zeros(len(PATH_INPUTS))
 
     def reset(self) -> None:
@@ -195,7 +195,7 @@ class PathInputs:
 
     def update(self, state: Floats) -> Floats:
         """Return the inputs (34,) of the newest state (n_fields,); the array is reused by the next call."""
-        path_inputs_kernel(state, self._index, self._dh, self._tcp_mm, self._carry, self.values)
+        _path_inputs_kernel(state, self._index, self._dh, self._tcp_mm, self._carry, self.values)
         return self.values
 
     def batch(self, states: Floats) -> Floats:
@@ -214,5 +214,5 @@ class PathInputs:
         if not np.isin(planes, np.arange(len(PLANES))).all():
             raise InputError("plane_id must be 0, 1 or 2", code="motion.plane")
         out = np.zeros((len(states), len(PATH_INPUTS)))
-        _path_inputs_many(states, self._index, self._dh, self._tcp_mm, np.zeros(CARRY_SIZE), out)
+        _path_inputs_many(states, self._index, self._dh, self._tcp_mm, np.zeros(_CARRY_SIZE), out)
         return out

@@ -21,7 +21,7 @@ _TOLERANCE, _SHORTEST_S = 0.12, 1.0
 
 
 @dataclass(frozen=True)
-class Stop:
+class _Stop:
     """A burst of fast vibration where the machine stopped and started again.
 
     ``sample``: centre of the burst's energy, counted from 0.
@@ -37,7 +37,7 @@ def stop_envelope(signal: Floats, rate_hz: float) -> Floats:
     return _moving_rms(_above(signal, rate_hz, _CUTOFF_HZ), max(3, round(0.1 * rate_hz)))
 
 
-def find_stops(signal: Floats, rate_hz: float) -> tuple[Stop, ...]:
+def find_stops(signal: Floats, rate_hz: float) -> tuple[_Stop, ...]:
     """Find the stops of a circular record by their bursts above 20 Hz.
 
     ``signal``, shape (n,): deviation or acceleration; any unit.
@@ -60,7 +60,7 @@ def find_stops(signal: Floats, rate_hz: float) -> tuple[Stop, ...]:
         # The densest fifth of a second: the tails are ringing, longer on one side.
         width = max(1, round(0.2 * rate_hz))
         centre = float(part[int(np.argmax(np.convolve(energy, np.ones(width), "same")))])
-        stops.append(Stop(centre, int(part[0]), int(part[-1])))
+        stops.append(_Stop(centre, int(part[0]), int(part[-1])))
     return tuple(stops)
 
 

@@ -15,8 +15,8 @@ from dtwin.features.catalogue import feature, feature_column
 from dtwin.features.kernel import Codes, WindowKernel
 from dtwin.schema import Floats
 
-MAX_SAMPLES = 1_000_000
-MAX_CHANNELS = 256
+_MAX_SAMPLES = 1_000_000
+_MAX_CHANNELS = 256
 # Windows that are computed together: the memory that a long recording needs.
 _AT_ONCE = 512
 
@@ -50,11 +50,11 @@ class WindowContract:
     def _problem(self) -> str | None:
         if not (math.isfinite(self.rate_hz) and self.rate_hz > 0):
             return f"rate_hz = {self.rate_hz}"
-        if not 2 <= self.n_samples <= MAX_SAMPLES:
+        if not 2 <= self.n_samples <= _MAX_SAMPLES:
             return f"n_samples = {self.n_samples}"
-        if not 1 <= self.hop <= MAX_SAMPLES:
+        if not 1 <= self.hop <= _MAX_SAMPLES:
             return f"hop = {self.hop}"
-        if not 1 <= len(self.channels) <= MAX_CHANNELS or not self.features:
+        if not 1 <= len(self.channels) <= _MAX_CHANNELS or not self.features:
             return "no channel, too many channels, or no feature"
         if len(set(self.channels)) < len(self.channels):
             return "a channel is named twice"
@@ -131,7 +131,7 @@ class WindowFeatures:
     end_s: Floats
 
 
-def window_count(n_samples: int, contract: WindowContract) -> int:
+def _window_count(n_samples: int, contract: WindowContract) -> int:
     """Return how many whole windows fit in ``n_samples`` samples."""
     return max(0, (n_samples - contract.n_samples) // contract.hop + 1)
 
@@ -149,7 +149,7 @@ def batch_features(signals: NDArray[np.floating], contract: WindowContract, star
     _require_channels(signals.shape, contract)
     samples = np.ascontiguousarray(signals, dtype=np.float64)
     flat, stride = samples.reshape(-1), samples.shape[1]
-    count = window_count(stride, contract)
+    count = _window_count(stride, contract)
     values = np.zeros((len(contract.channels), count, len(contract.features)))
     codes = np.zeros((len(contract.channels), count), dtype=np.int64)
     for first in range(0, count, _AT_ONCE):
@@ -211,7 +211,7 @@ class StreamingWindow:
 
     def _ends(self, k: int) -> NDArray[np.int64]:
         n, hop = self.contract.n_samples, self.contract.hop
-        before, after = (window_count(self.seen, self.contract), window_count(self.seen + k, self.contract))
+        before, after = (_window_count(self.seen, self.contract), _window_count(self.seen + k, self.contract))
         return np.arange(before, after, dtype=np.int64) * hop + n - 1
 
     def _compute_newest(self, values: Floats, codes: Codes) -> None:

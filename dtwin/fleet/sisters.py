@@ -81,7 +81,7 @@ class _SisterSize:
         return asdict(self)
 
 
-def pooled(values: Floats, errors: Floats, chance: float | None = None) -> tuple[float, float, float]:
+def _pooled(values: Floats, errors: Floats, chance: float | None = None) -> tuple[float, float, float]:
     """Return mean, its standard error, and the standard deviation between machines (Paule and Mandel).
 
     ``values``, ``errors`` (n,): sizes and their standard uncertainties.
@@ -180,7 +180,7 @@ def _differing(values: Floats, errors: Floats, many: int) -> _Flags:
 def _prior(values: Floats, errors: Floats, usual: _Flags, but: int, chance: float | None = None) -> _Prior:
     others = usual.copy()
     others[but] = False
-    return _Prior(*pooled(values[others], errors[others], chance), int(others.sum()))
+    return _Prior(*_pooled(values[others], errors[others], chance), int(others.sum()))
 
 
 def sisters(
@@ -233,7 +233,7 @@ _Row = tuple[str, str, float, float]
 def _size(key: _Key, rows: Sequence[_Row], many: int) -> _SisterSize:
     values, errors = np.array([row[2] for row in rows]), np.array([row[3] for row in rows]) / 2.0
     comparison = compared(values, errors, many)
-    mean, _, between = pooled(values[~comparison.differs], errors[~comparison.differs])
+    mean, _, between = _pooled(values[~comparison.differs], errors[~comparison.differs])
     of_machine = tuple(
         _Sister(
             machine,

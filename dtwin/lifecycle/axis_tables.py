@@ -48,7 +48,7 @@ class AxisTable:
     across: tuple[AxisTable, ...] = ()
 
 
-Grid = Callable[[float, float, int], Floats]
+_Grid = Callable[[float, float, int], Floats]
 """Positions between two ends, mm, ascending; no more than so many."""
 
 
@@ -68,7 +68,7 @@ class AxisForm:
     write: Callable[[AxisTable, Sequence[str]], str]
     notes: Callable[[AxisTable], list[str]]
     most: int = MOST_TRIPLETS
-    grid: Grid = np.linspace
+    grid: _Grid = np.linspace
     across: bool = False
     held_um: float = np.inf
 
@@ -82,7 +82,7 @@ def axis_table(
     points: int | None,
     speed_mm_s: float,
     most: int = MOST_TRIPLETS,
-    grid: Grid = np.linspace,
+    grid: _Grid = np.linspace,
     along: str = "",
     held_um: float = np.inf,
 ) -> AxisTable:
@@ -113,7 +113,7 @@ def tabulated(
     *,
     points: int | None,
     most: int = MOST_TRIPLETS,
-    grid: Grid = np.linspace,
+    grid: _Grid = np.linspace,
     along: str = "",
     held_um: float = np.inf,
 ) -> AxisTable:

@@ -26,7 +26,7 @@ _CREEP_MM_S = 1e-9
 
 
 @dataclass(frozen=True)
-class Compensated:
+class _Compensated:
     """A compensated program.
 
     ``largest_um``: largest shift of a point.
@@ -43,7 +43,7 @@ class Compensated:
 
 def compensate(
     text: str, twin: Twin, *, origin_mm: Floats, where: str, tolerance_um: float = _TOLERANCE_UM
-) -> Compensated:
+) -> _Compensated:
     """Move every point of a program against the predicted error.
 
     Lines and arcs become chords that stay within the tolerance of the compensated path; where an
@@ -66,7 +66,7 @@ def compensate(
                 got=f"more than {_MOST_POINTS}",
                 hint="allow a larger --tolerance-um",
             )
-    return Compensated("\n".join(lines) + "\n", work.points, work.largest_um, work.interpolation_um, work.outside)
+    return _Compensated("\n".join(lines) + "\n", work.points, work.largest_um, work.interpolation_um, work.outside)
 
 
 class Followed:

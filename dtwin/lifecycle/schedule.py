@@ -36,7 +36,7 @@ from dtwin.train.champion_error import um_text
 from dtwin.train.promotion import verdict_lines
 from dtwin.train.registry import RegisteredVersion, Registry
 
-Outcome = Literal["trained", "checked", "skipped"]
+_Outcome = Literal["trained", "checked", "skipped"]
 _CORRECTED = "a correction was in force while it was measured"
 _NOT_IN_A_TAG = re.compile(r"[^A-Za-z0-9_. -]")
 
@@ -80,7 +80,7 @@ class Scheduled:
     ``comparison``: candidate against champion; None without a champion.
     """
 
-    outcome: Outcome
+    outcome: _Outcome
     reason: str
     campaigns: dict[str, str] = field(default_factory=dict)
     registered: Registered | None = None
@@ -251,7 +251,7 @@ class _Turn:
 
     def result(self, news: list[_CampaignNews]) -> Scheduled:
         """Return what was done."""
-        outcome: Outcome = "trained"
+        outcome: _Outcome = "trained"
         if self.registered is not None:
             campaign = self.registered.training.report.campaign
             version = self.registered.version.version

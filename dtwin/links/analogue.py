@@ -28,8 +28,8 @@ FULL_SCALE_V = 10.0
 _CODES = 1 << 16
 TRAVEL_UM = 125.0
 Output = Literal["dac", "pwm"]
-Floats = NDArray[np.float64]
-Codes = tuple[int, int, int]
+_Floats = NDArray[np.float64]
+_Codes = tuple[int, int, int]
 
 _STATUS, _SET, _ENGAGE, _RELEASE, _NEUTRAL = range(5)
 _REQUEST = struct.Struct("<B3H")
@@ -81,7 +81,7 @@ class _Answer:
     pwm: bool
     read_back_wrong: bool
     refused: str
-    applied: Codes
+    applied: _Codes
     bad_frames: int
     trips: int
 
@@ -143,10 +143,10 @@ class AnalogueOutput(OpenAndClose):
         self.link = SerialLink(port, _ANSWER.size, baud=baud, timeout_s=patience_s)
         self.sent = self.answered = self.clamped = self.in_force = 0
         self._in_flight = in_flight
-        self._waiting: deque[tuple[int, Codes, int]] = deque()
+        self._waiting: deque[tuple[int, _Codes, int]] = deque()
 
     @property
-    def neutral(self) -> Codes:
+    def neutral(self) -> _Codes:
         """Codes that stand for no correction."""
         return self._codes(np.zeros(3))
 
@@ -187,7 +187,7 @@ class AnalogueOutput(OpenAndClose):
         """Keep this calibration's neutral codes on the board, without power too."""
         return self._ask(_NEUTRAL, self.neutral)
 
-    def send(self, offset_um: Floats, number: int = 0) -> None:
+    def send(self, offset_um: _Floats, number: int = 0) -> None:
         """Send a correction; answers to earlier ones are checked as they come.
 
         ``offset_um``, shape (3,): along x, y and z.
@@ -238,11 +238,11 @@ class AnalogueOutput(OpenAndClose):
         finally:
             self.close()
 
-    def _codes(self, offset_um: Floats) -> Codes:
+    def _codes(self, offset_um: _Floats) -> _Codes:
         x, y, z = (axis.code(float(um)) for axis, um in zip(self.calibration, offset_um, strict=True))
         return x, y, z
 
-    def _ask(self, command: int, arguments: Codes) -> _Answer:
+    def _ask(self, command: int, arguments: _Codes) -> _Answer:
         """Ask until the board answers: a spoilt line loses requests and answers alike."""
         for _ in range(_TRIES - 1):
             try:
@@ -252,7 +252,7 @@ class AnalogueOutput(OpenAndClose):
                     raise
         return self._asked(command, arguments)
 
-    def _asked(self, command: int, arguments: Codes) -> _Answer:
+    def _asked(self, command: int, arguments: _Codes) -> _Answer:
         # Not settled first: where the last answers were lost, nothing more would come.
         sequence = self.link.send(_REQUEST.pack(command, *arguments))
         until_s = time.monotonic() + self.link.timeout_s
@@ -269,7 +269,7 @@ class AnalogueOutput(OpenAndClose):
             hint="another program talks to the board",
         )
 
-    def _check(self, answer: _Answer, codes: Codes | None) -> None:
+    def _check(self, answer: _Answer, codes: _Codes | None) -> None:
         where = self.link.port
         if answer.tripped:
             raise DeviceError(
@@ -297,7 +297,7 @@ class AnalogueOutput(OpenAndClose):
             )
 
 
-def _eight_bits(codes: Codes) -> Codes:
+def _eight_bits(codes: _Codes) -> _Codes:
     """Return what is left of codes as pulse widths of eight bits."""
     x, y, z = (min(0xFF, (code + 0x80) >> 8) << 8 for code in codes)
     return x, y, z

@@ -23,7 +23,7 @@ _LEVELS = 3
 _MOST_BENT = 0.03
 _MOST_CROSS_TALK = 0.2
 _SANE_UM_PER_V = (2.0, 250.0)
-Floats = NDArray[np.float64]
+_Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class AxisFit:
         return AxisCalibration(self.um_per_v, self.neutral_v)
 
 
-def read_points(path: Path) -> dict[str, tuple[Floats, Floats]]:
+def read_points(path: Path) -> dict[str, tuple[_Floats, _Floats]]:
     """Return voltages and displacements of every axis from a CSV file.
 
     ``path``: columns ``axis,voltage_v,x_um,y_um,z_um``: the input that was driven, and where the machine went.
@@ -80,7 +80,7 @@ def read_points(path: Path) -> dict[str, tuple[Floats, Floats]]:
     return {axis: (np.array(found)[:, 0], np.array(found)[:, 1:]) for axis, found in rows.items()}
 
 
-def calibrate(points: Mapping[str, tuple[Floats, Floats]]) -> dict[str, AxisFit]:
+def calibrate(points: Mapping[str, tuple[_Floats, _Floats]]) -> dict[str, AxisFit]:
     """Fit a line to every axis.
 
     ``points``, shapes (n,) and (n, 3): voltages, and displacements along x, y and z, by the input that
@@ -139,7 +139,7 @@ def _no_input(um_per_v: float, neutral_v: float) -> str:
     )
 
 
-def _line(axis: str, volts: Floats, moved_um: Floats) -> AxisFit:
+def _line(axis: str, volts: _Floats, moved_um: _Floats) -> AxisFit:
     if len(np.unique(np.round(volts, 3))) < _LEVELS:
         raise _refused(axis, "too few voltages to see whether the answer is a line", len(volts))
     design = np.column_stack([volts, np.ones_like(volts)])

@@ -23,7 +23,7 @@ from dtwin.links.virtual_key import new_nonce
 from dtwin.units import is_number
 
 PROTOCOL = 1
-STATE_NAMES = ("timestamp_s", "runtime_running", "safety_ok")
+_STATE_NAMES = ("timestamp_s", "runtime_running", "safety_ok")
 """What every state must have."""
 
 LONGEST_LINE = 65_536
@@ -34,7 +34,7 @@ _GREETING_S = 5.0
 _LAPSED_S = 30.0
 _AXES = ("x", "y", "z")
 Clock = Literal["wall", "machine"]
-Samples = Callable[[Floats], None]
+_Samples = Callable[[Floats], None]
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,7 @@ class AxisLink(StateLines):
         *,
         channels: Sequence[str] = (),
         channels_hz: float = 0.0,
-        samples: Samples | None = None,
+        samples: _Samples | None = None,
         writes: bool = True,
         lost_after_s: float = 2.0,
     ) -> None:
@@ -198,7 +198,7 @@ class AxisLink(StateLines):
         """Take a line; tell whether it was a state."""
         given = _object(line) or {}
         finite = {name: number for name, v in given.items() if (number := _number(v)) is not None}
-        if not all(name in finite for name in STATE_NAMES):
+        if not all(name in finite for name in _STATE_NAMES):
             return False
         self.finished = self.finished or finite.get("finished", 0.0) > 0.5
         for name, value in finite.items():

@@ -28,7 +28,7 @@ Clock = Literal["wall", "machine"]
 _AXES = ("x", "y", "z")
 _POLL_S = 0.2
 _Prove = Callable[[str], str]
-Announce = Callable[[str], None]
+_Announce = Callable[[str], None]
 
 
 class AxisMachine(Protocol):
@@ -110,7 +110,7 @@ class AxisServer:
             self._client.close()
         self._listener.close()
 
-    def run(self, announce: Announce, progress: Progress) -> None:
+    def run(self, announce: _Announce, progress: Progress) -> None:
         """Run the machine's program once, corrected by whoever connects.
 
         It begins when the first client has connected. A client that goes leaves no correction
@@ -208,7 +208,7 @@ class AxisServer:
             if time.monotonic() >= until_s:
                 return
 
-    def _wait_for_client(self, announce: Announce) -> None:
+    def _wait_for_client(self, announce: _Announce) -> None:
         if self._client is None:
             announce(f"{self._machine.name} waits for dtwin serve at 127.0.0.1:{self.port}")
         while self._client is None:

@@ -256,7 +256,7 @@ def moves(state: State, axis: str) -> bool:
     return axis in state.axes
 
 
-def other_axis(state: State, axis: str) -> str:
+def _other_axis(state: State, axis: str) -> str:
     """Return the second moving axis of a circle."""
     first, second = state.axes
     return second if axis == first else first
@@ -287,7 +287,7 @@ def aside(state: State, axis: str, *profiles_um: Floats) -> Floats:
     Returns (n, 2 k): towards the first of the other two axes by letter, then towards the second.
     """
     nothing = [np.zeros(state.n)] * len(profiles_um)
-    towards = other_axis(state, axis)
+    towards = _other_axis(state, axis)
     pushed = [profile * state.sensitivity[towards] for profile in profiles_um]
     is_first = towards == min(set("XYZ") - {axis})
     return stacked(*pushed, *nothing) if is_first else stacked(*nothing, *pushed)

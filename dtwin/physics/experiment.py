@@ -23,7 +23,7 @@ from dtwin.schema import PLANES, Campaign, Direction, Floats, RunMeta
 from dtwin.statistics import f_quantile, f_tail
 
 REPEATS = 3
-POWER = 0.8
+_POWER = 0.8
 _HOPELESS = 0.5
 _ALPHA = 0.04
 _SOON_MIN = 10.0
@@ -49,7 +49,7 @@ class Proposal:
     @property
     def separated(self) -> int:
         """Number of pairs that are probably told apart."""
-        return sum(power >= POWER for power in self.powers)
+        return sum(power >= _POWER for power in self.powers)
 
 
 @dataclass(frozen=True)
@@ -120,7 +120,7 @@ def next_experiment(
             "expected_power": max(best.powers) if best else 0.0,
             "advice": advice,
         }
-    likely = max(POWER if best.separated else 0.0, _HOPELESS)
+    likely = max(_POWER if best.separated else 0.0, _HOPELESS)
     told = [(pair, power) for pair, power in zip(pairs, best.powers, strict=True) if power >= likely]
     words = ", ".join(
         f"{labels[0]} from {' + '.join(labels[1:])} with a probability of {100 * power:z.0f} %"
@@ -253,7 +253,7 @@ def _needed(dof: float, n_tests: int) -> float:
     limit = f_quantile(_ALPHA / n_tests, (1, dof))
 
     def missing(noncentrality: float) -> float:
-        return f_tail(limit, (1, dof), noncentrality) - POWER
+        return f_tail(limit, (1, dof), noncentrality) - _POWER
 
     return float(scipy.optimize.brentq(missing, 0.01, 500.0 + 5.0 * limit))
 

@@ -30,7 +30,7 @@ _COVERAGE_FACTOR = 2.0
 _ODDS = 20.0
 
 _Said = Literal["agrees", "is a part", "refuted"]
-Cause = tuple[str, str]
+_Cause = tuple[str, str]
 
 
 @dataclass(frozen=True)
@@ -188,18 +188,18 @@ class _Measured:
         value, uncertainty = _length(estimates)
         return Size(self.test.campaign, self.test.started, label, value, uncertainty)
 
-    def causes(self) -> list[Cause]:
+    def causes(self) -> list[_Cause]:
         """Return the causes that were found alone."""
         alone = [self.cause_of(group[0]) for group in self.groups if len(group) == 1]
         return [cause for cause in alone if cause is not None]
 
-    def cause_of(self, label: str) -> Cause | None:
+    def cause_of(self, label: str) -> _Cause | None:
         """Return what an effect is a measure of, None when no other instrument would see it."""
         name, _, axis = label.partition(" ")
         cause = self._library[name].cause
         return (cause, axis) if cause else None
 
-    def seen(self, cause: Cause) -> Size | None:
+    def seen(self, cause: _Cause) -> Size | None:
         """Return the size of a cause here, zero within its uncertainty where it was not found; None when it hides."""
         for name, effect in self._library.items():
             if effect.cause != cause[0] or self.test.obs.grid.kind not in effect.kinds:
@@ -216,7 +216,7 @@ class _Measured:
         tops = [group[0].partition(" ") for group in self.groups]
         return any(name in effect.confusables and (not own or own == axis) for name, _, own in tops)
 
-    def unit(self, cause: Cause) -> str:
+    def unit(self, cause: _Cause) -> str:
         """Return the unit of the size of a cause."""
         return next(e.parameters[0].unit for e in self._library.values() if e.cause == cause[0])
 
@@ -243,7 +243,7 @@ def _length(estimates: Sequence[Estimate]) -> tuple[float, float]:
     return length, float(np.sqrt(((values * widths) ** 2).sum()) / max(length, 1e-12))
 
 
-def _elsewhere(cause: Cause, others: Iterable[_Measured]) -> Size | None:
+def _elsewhere(cause: _Cause, others: Iterable[_Measured]) -> Size | None:
     """Return the size of a cause in the other tests that is known best; of a plane, from those of its axes."""
     others = list(others)
     seen = [size for one in others if (size := one.seen(cause)) is not None]
@@ -365,13 +365,13 @@ def _following(measured: Sequence[_Measured]) -> list[Shared]:
     """Return the axes that no test tells alone, of whose cause a difference was found and the other axis is known."""
     alone = dict.fromkeys(cause for one in measured for cause in one.causes())
     differences = [cause for cause in alone if cause[1] in AXES_OF]
-    known: dict[Cause, Size] = {}
+    known: dict[_Cause, Size] = {}
     for name, plane in differences:
         for axis in AXES_OF[plane]:
             size = _elsewhere((name, axis), measured)
             if size is not None:
                 known[name, axis] = size
-    out: dict[Cause, Size] = {}
+    out: dict[_Cause, Size] = {}
     for name, plane in differences * len(AXES_OF):
         first, second = ((name, axis) for axis in AXES_OF[plane])
         between = _elsewhere((name, plane), measured)
@@ -382,7 +382,7 @@ def _following(measured: Sequence[_Measured]) -> list[Shared]:
     return [_together(cause, measured[0].unit(cause), [out[cause]]) for cause in out if _is_there(out[cause])]
 
 
-def _together(cause: Cause, unit: str, sizes: Sequence[Size]) -> Shared:
+def _together(cause: _Cause, unit: str, sizes: Sequence[Size]) -> Shared:
     apart = tuple(
         (a.campaign, b.campaign, b.value - a.value, float(np.hypot(a.uncertainty, b.uncertainty)))
         for a, b in combinations(sizes, 2)

@@ -29,7 +29,7 @@ _BEYOND_DOUBT = 1e-6
 
 
 @dataclass(frozen=True)
-class Test:
+class _Test:
     """Every effect of the library against what a set of effects leaves.
 
     ``dictionary``: the library beside what is known.
@@ -63,7 +63,7 @@ class Search:
     """
 
     found: tuple[Found, ...]
-    first: Test
+    first: _Test
     last: Problem
     plain: Problem
     lack_of_fit: tuple[float, float]
@@ -179,7 +179,7 @@ def adjusted(tested: Sequence[Candidate], obs: Observations) -> dict[str, float]
     return dict(zip((c.term.label for c in ordered), p_values.tolist(), strict=True))
 
 
-def _tested(problem: Problem, candidates: Candidates, shown_by_channel: bool) -> Test:
+def _tested(problem: Problem, candidates: Candidates, shown_by_channel: bool) -> _Test:
     level = noise_level(problem, probes(problem))
     dictionary = Dictionary(problem, candidates)
     found, invisible = in_best_shapes(dictionary, [], problem, level)
@@ -187,10 +187,10 @@ def _tested(problem: Problem, candidates: Candidates, shown_by_channel: bool) ->
     if shown_by_channel:
         within = [c for c in found if c.term.instance.effect.within_condition]
         p_values |= adjusted(within, problem.obs)
-    return Test(dictionary, level, tuple(found), p_values, tuple(invisible))
+    return _Test(dictionary, level, tuple(found), p_values, tuple(invisible))
 
 
-def _leading(test: Test, plain: Problem, candidates: Candidates) -> Candidate | None:
+def _leading(test: _Test, plain: Problem, candidates: Candidates) -> Candidate | None:
     """Return the significant effect that is worth most and foretells conditions left out."""
     problem = test.problem
     significant = [
@@ -223,7 +223,7 @@ def _is_material(plain: Problem, candidates: Candidates, term: Term, problem: Pr
 
 
 def _told(
-    terms: Sequence[Term], problem: Problem, candidates: Candidates, first: Test
+    terms: Sequence[Term], problem: Problem, candidates: Candidates, first: _Test
 ) -> tuple[list[Term], list[Term]]:
     """Return the effects that are significant, and those that few runs do not tell but that others are tested beside.
 
@@ -236,7 +236,7 @@ def _told(
     return [*staying, *told], [t for t in moving if t not in told]
 
 
-def _significant(terms: Sequence[Term], problem: Problem, candidates: Candidates, first: Test) -> list[Term]:
+def _significant(terms: Sequence[Term], problem: Problem, candidates: Candidates, first: _Test) -> list[Term]:
     """Return the effects without those that are not significant beside all the others."""
     terms = list(terms)
     many = independent([c.visible for c in first.candidates], problem.obs)

@@ -27,7 +27,7 @@ _SHAPE_ROUNDS = 3
 # A round of shapes that lowers the sum of squares by less is the last one.
 _SETTLED = 1e-3
 
-Groups = Mapping[tuple[int, int], int]
+_Groups = Mapping[tuple[int, int], int]
 """Which value of a shared term a campaign has, by number of campaign and of term; 0 where nothing is said."""
 
 
@@ -41,7 +41,7 @@ class Pool:
 
     parts: tuple[Part, ...]
     terms: tuple[Term, ...]
-    groups: Groups = field(default_factory=dict)
+    groups: _Groups = field(default_factory=dict)
 
     def maps(self) -> tuple[list[Floats], list[tuple[int, int, int]]]:
         """Return which common parameters make those of each campaign, and what they are.
@@ -236,7 +236,7 @@ def _cost(pool: Pool) -> float:
     return out
 
 
-def regrouped(fitted: SeveralFit, groups: Groups) -> SeveralFit:
+def regrouped(fitted: SeveralFit, groups: _Groups) -> SeveralFit:
     """Return the fit, its shapes as they are, in which campaigns have values of their own of shared terms."""
     return _solved(_by_certainty(by_floors(replace(fitted.pool, groups=groups))))
 

@@ -26,7 +26,7 @@ _MARK = "moved-from"
 
 
 @dataclass(frozen=True)
-class Moved:
+class _Moved:
     """Where a home lies now.
 
     ``lake_files``, ``registry_rows``: how much was copied or compared.
@@ -40,7 +40,7 @@ class Moved:
     before: str
 
 
-def share(home: Home, stated: Mapping[str, str], progress: Progress | None = None) -> Moved:
+def share(home: Home, stated: Mapping[str, str], progress: Progress | None = None) -> _Moved:
     """Copy a local home to a store and a database, and point to them.
 
     What is local stays where it is. Can be repeated after a kill.
@@ -64,10 +64,10 @@ def share(home: Home, stated: Mapping[str, str], progress: Progress | None = Non
             follow_shared(home, bucket)
             write_toml(home.root / HOME_FILE, target.as_dict(), "the settings of the home")
         shutil.rmtree(there.root)
-    return Moved(target.store, target.registry, files, rows, str(home.root / "lake"))
+    return _Moved(target.store, target.registry, files, rows, str(home.root / "lake"))
 
 
-def bring_home(home: Home, progress: Progress | None = None) -> Moved:
+def bring_home(home: Home, progress: Progress | None = None) -> _Moved:
     """Copy a shared home to this computer, and point to the copy; the store stays as it is.
 
     A flows database is not copied: Prefect begins a new one here. A registry that is an MLflow server stays the
@@ -93,7 +93,7 @@ def bring_home(home: Home, progress: Progress | None = None) -> Moved:
         if keeps.registry:
             write_toml(home.root / HOME_FILE, keeps.as_dict(), "the settings of the home")
         shutil.rmtree(there.root)
-    return Moved("", keeps.registry, files, rows, file.store)
+    return _Moved("", keeps.registry, files, rows, file.store)
 
 
 @contextmanager

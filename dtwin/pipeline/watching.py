@@ -21,7 +21,7 @@ from dtwin.locks import locked
 from dtwin.machine_record import recorded
 from dtwin.pipeline.catalogue import catalogue
 
-Outcome = Literal["ingested", "unchanged", "unknown machine", "not accepted", "not reachable"]
+_Outcome = Literal["ingested", "unchanged", "unknown machine", "not accepted", "not reachable"]
 _SETTLE_S = 10.0
 _ALONE = (".b5r",)
 
@@ -36,7 +36,7 @@ class WatchEvent:
     """
 
     path: str
-    outcome: Outcome
+    outcome: _Outcome
     message: str
     campaign: str = ""
 
@@ -159,7 +159,7 @@ class FolderWatch:
             return WatchEvent(name, "not accepted", said), ""
         counts = f"{len(report.added)} runs added, {len(report.unchanged)} unchanged"
         said = f"{counts}, worst finding: {worst(report.findings)}"
-        outcome: Outcome = "ingested" if report.added else "unchanged"
+        outcome: _Outcome = "ingested" if report.added else "unchanged"
         return WatchEvent(name, outcome, said, report.campaign), campaign.machine
 
     def _now_known(self, before: dict[str, Any]) -> bool:

@@ -39,7 +39,7 @@ def assigned_readings(text: str, path: Path, scale: Scale) -> list[Reading]:
         match = _ASSIGNED.match(line)
         if match is None:
             continue
-        value = number_of(match[4], f"{path} line {number}") * scale.units[unit]
+        value = _number_of(match[4], f"{path} line {number}") * scale.units[unit]
         if match[1] == "TGT_DATA":
             targets[int(match[2])] = value
         elif match[3] is None:
@@ -52,7 +52,7 @@ def assigned_readings(text: str, path: Path, scale: Scale) -> list[Reading]:
     return [(targets[p], way, cycle, (value - targets[p]) * scale.per, True) for way, p, cycle, value in read]
 
 
-def number_of(cell: str, where: str) -> float:
+def _number_of(cell: str, where: str) -> float:
     """Return a number that a cell holds; refuse what is none."""
     value = number_or_none(cell)
     if value is None or abs(value) > 1e9:
@@ -69,7 +69,7 @@ def number_of(cell: str, where: str) -> float:
 
 def number_in(row: Sequence[str], i: int, where: str) -> float:
     """Return the number of a column of a row; an empty text stands for a cell that is not there."""
-    return number_of(row[i] if i < len(row) else "", where)
+    return _number_of(row[i] if i < len(row) else "", where)
 
 
 def wrong_form(message: str, path: Path, got: str) -> InputError:

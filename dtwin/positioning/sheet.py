@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     import plotly.graph_objects as go
 
 
-Asked = Callable[[LinearTest], list[str]]
+_Asked = Callable[[LinearTest], list[str]]
 _Uncertain = Callable[[str, LinearTest], tuple[Contribution, ...]]
 _FIGURES = (
     ("A", "bi-directional accuracy", "accuracy_um"),
@@ -44,7 +44,7 @@ _FIGURES = (
 )
 
 
-def positioning_sheet(runs: Sequence[Run], asked: Asked, uncertain: _Uncertain, scale: Scale = LENGTHS) -> Sheet:
+def positioning_sheet(runs: Sequence[Run], asked: _Asked, uncertain: _Uncertain, scale: Scale = LENGTHS) -> Sheet:
     """Evaluate every axis of a campaign.
 
     ``runs``: with all columns; runs with an error of quality are left out where there are others, and named. Runs of one
@@ -80,7 +80,7 @@ def evaluated_tests(runs: Sequence[Run], scale: Scale = LENGTHS) -> list[LinearT
 
 
 def _evaluated(
-    title: str, every: Sequence[Run], ways: Ways, asked: Asked, uncertain: _Uncertain, scale: Scale
+    title: str, every: Sequence[Run], ways: Ways, asked: _Asked, uncertain: _Uncertain, scale: Scale
 ) -> tuple[Part | None, list[str]]:
     members, notes = sound_runs(every)
     sound = not any(f.severity == "error" for run in members for f in run.findings)

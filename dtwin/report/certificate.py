@@ -104,7 +104,7 @@ def certificate_page(
             beside=beside,
             language=language,
             facts=facts,
-            head=[(n, tell(facts.get(n, "")) if n == "temperature" else facts.get(n, "")) for n in HEAD],
+            head=[(n, tell(facts.get(n, "")) if n == "temperature" else facts.get(n, "")) for n in _HEAD],
             runs=facts.get("runs", ""),
             sheet=sheet,
             budget=headline_budget(sheet),
@@ -134,7 +134,7 @@ def _told(figure: go.Figure, words: Language, height_px: int) -> go.Figure:
     )
 
 
-HEAD = (
+_HEAD = (
     "machine",
     "instrument",
     "type",

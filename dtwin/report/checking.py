@@ -29,7 +29,7 @@ _MAX_DETAILED = 2
 _MANY_ROWS = 0.1
 """Share of a table that is not used, from which on it is a warning."""
 _LISTED_ROWS = 8
-Tolerances = Callable[[str], Mapping[str, Limits]]
+_Tolerances = Callable[[str], Mapping[str, Limits]]
 _Surroundings = Callable[[str], Variation | None]
 
 
@@ -82,7 +82,7 @@ def check_source(
     path: Path,
     progress: Progress | None = None,
     told: Mapping[str, Any] | None = None,
-    tolerances: Tolerances = _no_tolerances,
+    tolerances: _Tolerances = _no_tolerances,
     surroundings: _Surroundings = _no_surroundings,
 ) -> dict[str, Any]:
     """Evaluate every run of a file or campaign without storing anything.
@@ -101,7 +101,7 @@ def check_campaign(
     lake: Lake,
     name: str,
     progress: Progress | None = None,
-    tolerances: Tolerances = _no_tolerances,
+    tolerances: _Tolerances = _no_tolerances,
     surroundings: _Surroundings = _no_surroundings,
 ) -> dict[str, Any]:
     """Evaluate the runs of a campaign in the lake as :func:`check_source` does those of a file."""
@@ -132,7 +132,7 @@ def _checked(
     sources: Iterable[tuple[list[Run], list[RejectedRows]]],
     total: int,
     progress: Progress | None,
-    tolerances: Tolerances,
+    tolerances: _Tolerances,
     surroundings: _Surroundings,
 ) -> dict[str, Any]:
     results: list[dict[str, Any]] = []

@@ -193,24 +193,24 @@ def _are_names(text: str) -> bool:
 
 
 _DECIMAL_POINT = {"de": ","}
-LANGUAGES: Mapping[str, Mapping[str, str]] = {"en": {}, "de": _GERMAN}
+_LANGUAGES: Mapping[str, Mapping[str, str]] = {"en": {}, "de": _GERMAN}
 """Words and phrases of a document by language; what is not there is English."""
 
 
 class Language:
     """A language of documents.
 
-    ``code``: one of ``LANGUAGES``.
+    ``code``: ``en`` or ``de``.
     ``names``: what people named, which stays as they named it.
     Raises ``InputError`` for another code.
     """
 
     def __init__(self, code: str = "en", names: Iterable[str] = ()) -> None:
-        if code not in LANGUAGES:
-            raise InputError("no such language", code="document.language", got=code[:20], allowed=", ".join(LANGUAGES))
+        if code not in _LANGUAGES:
+            raise InputError("no such language", code="document.language", got=code[:20], allowed=", ".join(_LANGUAGES))
         self.code = code
         self.point = _DECIMAL_POINT.get(code, ".")
-        self._words = LANGUAGES[code]
+        self._words = _LANGUAGES[code]
         self._phrases = {**self._words, **{name: name for name in names}}
 
     @cached_property

@@ -12,7 +12,7 @@ from threading import Lock
 from dtwin.atomic import whole_file
 from dtwin.errors import MissingPart
 
-BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome", "msedge")
+_BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome", "msedge")
 """Programs that can print, the first that is installed does."""
 _PRINTING_S = 120.0
 _HINT = "take the page as a .html file, open it in a browser, and save it as PDF from there"
@@ -22,7 +22,7 @@ _ONE = Lock()
 
 def browser() -> str | None:
     """Return the program that prints; None where none is installed."""
-    return next((path for name in BROWSERS if (path := shutil.which(name))), None)
+    return next((path for name in _BROWSERS if (path := shutil.which(name))), None)
 
 
 def require_browser() -> str:
@@ -32,7 +32,7 @@ def require_browser() -> str:
     """
     if (program := browser()) is None:
         raise MissingPart(
-            "printing to a PDF needs a browser", code="pdf.browser", allowed=", ".join(BROWSERS), hint=_HINT
+            "printing to a PDF needs a browser", code="pdf.browser", allowed=", ".join(_BROWSERS), hint=_HINT
         )
     return program
 

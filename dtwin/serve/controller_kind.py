@@ -9,7 +9,7 @@ import time
 
 from dtwin.links.ur_worker import RTDE_PORT
 
-VIRTUAL_VARIABLE = "output_int_register_1000"
+_VIRTUAL_VARIABLE = "output_int_register_1000"
 """Controllers have 48 registers of a kind and answer ``NOT_FOUND``; the virtual one has more.
 
 Firmware fixes which variables exist, so no robot program can claim to be virtual.
@@ -39,7 +39,7 @@ def is_virtual(host: str, timeout_s: float = 2.0) -> bool:
             return False
         with socket.create_connection((host, RTDE_PORT), timeout_s) as connection:
             _ask(connection, _REQUEST_VERSION, struct.pack(">H", 2), timeout_s)
-            reply = _ask(connection, _SETUP_OUTPUTS, struct.pack(">d", 1.0) + VIRTUAL_VARIABLE.encode(), timeout_s)
+            reply = _ask(connection, _SETUP_OUTPUTS, struct.pack(">d", 1.0) + _VIRTUAL_VARIABLE.encode(), timeout_s)
     except (OSError, UnicodeError):
         return False
     return reply[1:] == b"INT32"

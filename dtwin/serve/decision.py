@@ -194,7 +194,7 @@ class Decision:
             elapsed_s: Time since the last decision.
             enabled: Whether a correction is wanted; false releases.
             stages: Receives the nanoseconds of window, path, equation and guard in its first four. Shape (6,).
-            found: What the caller has found, as for ``safety.guard_kernel``.
+            found: What the caller has found, as for ``safety._guard_kernel``.
         """
         start = perf_counter_ns()
         if not possible(state, self._largest):

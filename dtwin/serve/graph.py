@@ -97,10 +97,10 @@ class Graph:
             return float(state[node.name])
         args = [values[i] for i in node.args]
         if node.op == "pow_int":
-            return power(args[0], node.n)
+            return _power(args[0], node.n)
         if node.op == "lookup":
             table = self.tables[node.n]
-            return lookup(args[0], table.start, table.spacing, list(table.values), table.periodic)
+            return _lookup(args[0], table.start, table.spacing, list(table.values), table.periodic)
         return float(OPERATORS[node.op].evaluate(*args))
 
     def to_dict(self) -> dict[str, Any]:
@@ -276,7 +276,7 @@ def _log(x: float) -> float:
     return -math.inf if x == 0.0 else _ieee(math.log)(x)
 
 
-def power(x: float, n: int) -> float:
+def _power(x: float, n: int) -> float:
     """Return x to a whole power by repeated squaring, as the tape does it."""
     result, base, left = 1.0, x, abs(n)
     while left:
@@ -311,7 +311,7 @@ def _logistic(x: float) -> float:
     return _div(1.0, 1.0 + _ieee(math.exp)(-x))
 
 
-def lookup(x: float, start: float, spacing: float, values: list[float], periodic: bool) -> float:
+def _lookup(x: float, start: float, spacing: float, values: list[float], periodic: bool) -> float:
     """Interpolate a uniform table linearly; periodic, or held constant beyond its ends."""
     n, u = len(values), (x - start) / spacing
     if math.isnan(u) or (periodic and not abs(u) < FARTHEST):

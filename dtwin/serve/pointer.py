@@ -40,8 +40,8 @@ __all__ = [
     "write_pointer",
 ]
 
-STATES = ("champion", "trial", "candidate", "barred")
-UNPROMOTED = "unpromoted"
+_STATES = ("champion", "trial", "candidate", "barred")
+_UNPROMOTED = "unpromoted"
 _SERVED_LIVE = ("champion", "trial")
 _POINTERS = {"latest": CHAMPION, "trial": TRIAL}
 NAMES = ("latest", "champion", "trial")
@@ -121,7 +121,7 @@ def write_pointer(
         "bundle": path.name,
         "sha256": hashlib.sha256(raw).hexdigest(),
         "version": version,
-        "state": one_of(state, STATES, "state"),
+        "state": one_of(state, _STATES, "state"),
         "proved": proved,
     }
     pointer = write_sealed(folder, _POINTERS["trial" if state == "trial" else "latest"], content)
@@ -259,7 +259,7 @@ def proven_states(machine: str, said: Mapping[int, str], home: Home) -> dict[int
     ``said``: version and its state by the registry's tags, which whoever reaches its server can write.
     """
     named: dict[int, str] = {}
-    unnamed = f"{UNPROMOTED}, whatever its tags say"
+    unnamed = f"{_UNPROMOTED}, whatever its tags say"
     for model in _POINTERS:
         try:
             resolved = _follow(model, machine, home)
@@ -293,7 +293,7 @@ def _follow(model: str, machine: str, home: Home) -> Resolved:
         )
     fields = only_fields(sealed, _FIELDS, str(pointer))
     path = named_file(folder, text(fields["bundle"], "bundle"), text(fields["sha256"], "sha256"))
-    states = tuple(state for state in STATES if (state == "trial") == (model == "trial"))
+    states = tuple(state for state in _STATES if (state == "trial") == (model == "trial"))
     state = one_of(fields["state"], states, "state")
     version = whole(fields["version"], "version")
     sha256 = text(fields["sha256"], "sha256")
@@ -327,7 +327,7 @@ def _resolve_file(path: Path, machine: str | None, home: Home) -> Resolved:
             named = _follow(model, name, home)
             if named.sha256 == sha256:
                 return named
-    return Resolved(path, sha256, bundle.model_sha256, bundle.model_version, UNPROMOTED, name)
+    return Resolved(path, sha256, bundle.model_sha256, bundle.model_version, _UNPROMOTED, name)
 
 
 def _absent_hint(model: str, machine: str | None, home: Home) -> str:

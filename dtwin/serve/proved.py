@@ -12,7 +12,7 @@ from dtwin.serve.pointer import Resolved
 WhenExpired = Literal["refuse", "warn"]
 
 
-def proof_of(resolved: Resolved, bundle: Bundle, now: datetime) -> tuple[str, bool]:
+def _proof_of(resolved: Resolved, bundle: Bundle, now: datetime) -> tuple[str, bool]:
     """Return when a model was last proved, for people, and whether that still holds.
 
     Args:
@@ -35,8 +35,8 @@ def require_proof(
     """Return what is to be told of a champion's proof before it moves a machine.
 
     Args:
-        resolved: As for :func:`proof_of`.
-        bundle: As for :func:`proof_of`.
+        resolved: As for :func:`_proof_of`.
+        bundle: As for :func:`_proof_of`.
         when_expired: What to do when the proof does not hold any more. One of "refuse", "warn".
         now: By default the computer's clock.
         changed: What changed the machine since, where its record notes anything.
@@ -44,7 +44,7 @@ def require_proof(
     Raises:
         GateRefusal: When it does not hold and this was not to be a warning.
     """
-    told, holds = proof_of(resolved, bundle, now or datetime.now(UTC))
+    told, holds = _proof_of(resolved, bundle, now or datetime.now(UTC))
     told += f"; WARNING: {changed}; unless it came before the proof: dtwin recheck" if changed else ""
     if holds:
         return told

@@ -96,7 +96,7 @@ def _scaled(vector: Floats, longest: float) -> bool:
 
 
 @compiled
-def guard_kernel(
+def _guard_kernel(
     wanted_um: Floats,
     factor: float,
     age_s: float,
@@ -198,7 +198,7 @@ def _guard_many(
     reason = DISABLED
     for tick in range(wanted_um.shape[0]):
         factor = box_factor(inputs[tick], low, high, span)
-        reason = guard_kernel(wanted_um[tick], factor, 0.0, 0.0, elapsed_s, True, OK, limits, memory, out_um)
+        reason = _guard_kernel(wanted_um[tick], factor, 0.0, 0.0, elapsed_s, True, OK, limits, memory, out_um)
         counts[reason] += 1
         sent_um[tick] = out_um
     return reason
@@ -273,9 +273,9 @@ class Guard:
             window_age_s: Age of the newest window; 0 when none is used.
             enabled: Whether a correction is wanted.
             device_ok: Whether the machine runs.
-            found: As for ``guard_kernel``; a machine that does not run comes first.
+            found: As for ``_guard_kernel``; a machine that does not run comes first.
         """
-        self.reason = guard_kernel(
+        self.reason = _guard_kernel(
             wanted_um,
             self.trust(inputs),
             age_s,

@@ -38,11 +38,11 @@ from dtwin.serve.runtime import CompiledBundle
 from dtwin.serve.serve_request import Served, ServeRequest
 from dtwin.serve.served_time import events_path
 
-Announce = Callable[[str], None]
+_Announce = Callable[[str], None]
 OpenSensors = Callable[[WindowContract], AbstractContextManager[SensorSource]]
 
 
-def serve(request: ServeRequest, home: Home, announce: Announce, open_sensors: OpenSensors | None = None) -> Served:
+def serve(request: ServeRequest, home: Home, announce: _Announce, open_sensors: OpenSensors | None = None) -> Served:
     """Serve a model to a robot until the time is up, a stop is asked for, or something fails.
 
     Call it in the main thread of a process that runs nothing else.
@@ -75,7 +75,7 @@ def serve(request: ServeRequest, home: Home, announce: Announce, open_sensors: O
 
 
 def _serve_resolved(
-    request: ServeRequest, resolved: Resolved, home: Home, announce: Announce, open_sensors: OpenSensors | None
+    request: ServeRequest, resolved: Resolved, home: Home, announce: _Announce, open_sensors: OpenSensors | None
 ) -> Served:
     compiled = load_bundle(resolved.path, resolved.machine)
     # Of the model as it was promoted: a trial's clamp is no other model.
@@ -228,7 +228,7 @@ def _require_control(request: ServeRequest, bundle: Bundle) -> None:
         )
 
 
-def _write_log(home: Home, machine: str, started: datetime, record: Mapping[str, Any], announce: Announce) -> str:
+def _write_log(home: Home, machine: str, started: datetime, record: Mapping[str, Any], announce: _Announce) -> str:
     """Append one JSON line; a log that cannot be written never stops the serving."""
     path = home.logs / f"serve-{machine}.jsonl"
     ended = datetime.now(UTC)

@@ -22,7 +22,7 @@ from dtwin.serve.decision import Decision
 from dtwin.serve.runtime import CompiledBundle
 from dtwin.serve.safety import REASONS
 
-HEAD = ("name", "x_mm", "y_mm", "z_mm", "feed_mm_min")
+_HEAD = ("name", "x_mm", "y_mm", "z_mm", "feed_mm_min")
 _STEP_S = 0.02
 _MOST_TARGETS = 100_000
 _FORMULA = ("=", "+", "-", "@")
@@ -159,15 +159,15 @@ def read_targets(path: Path) -> list[Target]:
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
             reader = csv.DictReader(file)
-            if tuple(reader.fieldnames or ()) != HEAD:
-                raise _unusable(path, "columns", ",".join(reader.fieldnames or ()), ",".join(HEAD))
+            if tuple(reader.fieldnames or ()) != _HEAD:
+                raise _unusable(path, "columns", ",".join(reader.fieldnames or ()), ",".join(_HEAD))
             for number, row in enumerate(reader, start=2):
                 # Of 1,5 commas make two cells: the target would be elsewhere.
                 if None in row:
                     raise _unusable(
                         path, f"line {number}", "more cells than columns", "decimal points, a cell for each"
                     )
-                values = [float(row[name] or "nan") for name in HEAD[1:]]
+                values = [float(row[name] or "nan") for name in _HEAD[1:]]
                 if not all(math.isfinite(v) for v in values) or values[3] <= 0.0:
                     raise _unusable(path, f"line {number}", str(values), "finite, feed above 0")
                 # A name with a line end, which a spreadsheet hides, would be a target of its own in what is written.
@@ -189,7 +189,7 @@ def read_targets(path: Path) -> list[Target]:
 
 def corrected_csv(made: Iterable[CorrectedTarget]) -> str:
     """Return corrected targets as CSV: the columns of the input, the offset, what the guard did."""
-    lines = [",".join((*HEAD, "offset_x_um", "offset_y_um", "offset_z_um", "guard"))]
+    lines = [",".join((*_HEAD, "offset_x_um", "offset_y_um", "offset_z_um", "guard"))]
     for one in made:
         place = ",".join(f"{value:z.5f}" for value in one.position_mm)
         offset = ",".join(f"{value:z.3f}" for value in one.offset_um)

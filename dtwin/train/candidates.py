@@ -31,7 +31,7 @@ _HELD_OUT = ("feed_mm_min", "radius_mm")
 _PENALTIES = np.logspace(0.0, 5.0, 6)
 _SPLITS = 4
 _Splits = list[tuple[NDArray[Any], NDArray[Any]]]
-Family = Literal["baseline", "linear", "neighbours", "tree", "neural", "symbolic"]
+_Family = Literal["baseline", "linear", "neighbours", "tree", "neural", "symbolic"]
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ class Recipe:
     """
 
     name: str
-    family: Family
+    family: _Family
     make: Callable[[int, _Splits], Any]
     columns: Literal["all", "sensor"] = "all"
 

@@ -22,7 +22,7 @@ from dtwin.train.results import condition_name
 from dtwin.units import UM_PER_MM
 
 TICK_S = 0.002
-Controller = TypeVar("Controller", bound=CobotController)
+_Controller = TypeVar("_Controller", bound=CobotController)
 _ROUNDS = 6
 # What is learned from a run is taken below these: higher up the structure answers out of phase.
 _LEARNED_HZ = (30.0, 6.0)
@@ -70,7 +70,7 @@ def best_offsets(
     return best
 
 
-def follow(controller: Controller, offsets_um: Floats, safety: SafetyLimits) -> tuple[Controller, dict[str, int]]:
+def follow(controller: _Controller, offsets_um: Floats, safety: SafetyLimits) -> tuple[_Controller, dict[str, int]]:
     """Run a program with offsets through the guard; return it and how often each guard acted.
 
     ``controller``: at the start of the program.

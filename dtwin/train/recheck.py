@@ -17,7 +17,7 @@ from dtwin.train.champion_error import um_text
 from dtwin.train.evidence import Evidence
 from dtwin.train.results import condition_name
 
-Verdict = Literal["helps", "unclear", "worse"]
+_Verdict = Literal["helps", "unclear", "worse"]
 _LEVEL = 0.05
 _FEWEST_PAIRS = 3
 
@@ -80,7 +80,7 @@ class Recheck:
     ``conditions``: every condition, and ``all`` last.
     """
 
-    verdict: Verdict
+    verdict: _Verdict
     reason: str
     conditions: tuple[_ConditionCheck, ...]
 

@@ -14,7 +14,7 @@ from dtwin.serve.builder import Expression, GraphBuilder
 from dtwin.serve.bundle import Bundle
 from dtwin.train.traced import NotTraceable, expressions_of
 
-Made = TypeVar("Made")
+_Made = TypeVar("_Made")
 
 # Effects whose ``correctable`` names something else than an offset of position.
 _NOT_BY_OFFSETS: Mapping[str, str] = {
@@ -70,7 +70,7 @@ class TwinBundle:
 
 
 @dataclass(frozen=True)
-class _Carried(Generic[Made]):
+class _Carried(Generic[_Made]):
     """The part of a twin that a bundle carries.
 
     ``choices``: every effect of the twin, included or left out with the reason.
@@ -80,10 +80,10 @@ class _Carried(Generic[Made]):
 
     choices: tuple[TermChoice, ...]
     twin: Twin
-    traced: tuple[Made, ...]
+    traced: tuple[_Made, ...]
 
 
-def carried(twin: Twin, trace: Callable[[Term], Made]) -> _Carried[Made]:
+def carried(twin: Twin, trace: Callable[[Term], _Made]) -> _Carried[_Made]:
     """Turn the effects of a twin that offsets of position can correct into something else.
 
     ``trace``: turns one effect into expressions, or raises ``NotTraceable`` with the reason.

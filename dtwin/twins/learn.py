@@ -32,7 +32,7 @@ _CONDITION = "a plane, radius and feed"
 
 
 @dataclass(frozen=True)
-class Learned:
+class _Learned:
     """What a twin learned.
 
     ``twin``: the new version.
@@ -48,7 +48,7 @@ class Learned:
     said: str = ""
 
 
-def learn_law(twins: AnyTwins, name: str, *, seed: int = 0) -> Learned:
+def learn_law(twins: AnyTwins, name: str, *, seed: int = 0) -> _Learned:
     """Add the scaling law that describes unknown structure best; ``seed``: of permutations."""
     left = _unknown(twins, name, seed)
     problem = set_up(left.obs, left.terms, [])
@@ -57,7 +57,7 @@ def learn_law(twins: AnyTwins, name: str, *, seed: int = 0) -> Learned:
         gain = left_out_gain(problem, problem.whitened(left.obs.regressors(Instance(effect), {})))
         if gain > 0.0:
             several = len(set(left.obs.place_of.tolist())) > 1
-            return Learned(twins.add(name, effect.name), gain, f"{_CONDITION}{left.of}" if several else "a run")
+            return _Learned(twins.add(name, effect.name), gain, f"{_CONDITION}{left.of}" if several else "a run")
     raise _does_not_hold(
         left.twin,
         "no power law holds on conditions that were left out",
@@ -66,7 +66,7 @@ def learn_law(twins: AnyTwins, name: str, *, seed: int = 0) -> Learned:
     )
 
 
-def learn_formula(twins: AnyTwins, name: str, engine: Engine, *, seed: int = 0) -> Learned:
+def learn_formula(twins: AnyTwins, name: str, engine: Engine, *, seed: int = 0) -> _Learned:
     """Add a formula for what is left, found by symbolic regression; ``seed``: of permutations and of the search."""
     left = _unknown(twins, name, seed)
     found = search_residual(left.obs, left.residual_um, engine, seed)
@@ -75,10 +75,10 @@ def learn_formula(twins: AnyTwins, name: str, engine: Engine, *, seed: int = 0) 
         hint = "measure more feeds or radii, or write the effect yourself"
         raise _does_not_hold(left.twin, "no formula holds on conditions that were left out", got, hint)
     twin = twins.add(name, left.library.keep(found))
-    return Learned(twin, found.gain, f"{_CONDITION}{left.of}, {found.groups}", f"\nformula, µm: {found.shown}")
+    return _Learned(twin, found.gain, f"{_CONDITION}{left.of}, {found.groups}", f"\nformula, µm: {found.shown}")
 
 
-def learn_map(twins: AnyTwins, name: str, *, seed: int = 0) -> Learned:
+def learn_map(twins: AnyTwins, name: str, *, seed: int = 0) -> _Learned:
     """Add a map of what is left at the same place of a circle at every feed; ``seed``: of permutations."""
     left = _unknown(twins, name, seed)
     found = place_map(left.obs, left.residual_um)
@@ -90,7 +90,7 @@ def learn_map(twins: AnyTwins, name: str, *, seed: int = 0) -> Learned:
     other = f"dtwin twin restore {name} --version {left.twin.version}, then dtwin twin learn {name}"
     said = f"\na law may tell more of it: {law}; {other}" if law else ""
     left_out = f"a plane and radius{left.of}, {found.groups}, and each feed"
-    return Learned(twins.add(name, left.library.keep(found)), found.gain, left_out, said)
+    return _Learned(twins.add(name, left.library.keep(found)), found.gain, left_out, said)
 
 
 def _does_not_hold(twin: AnyTwin, message: str, got: str, hint: str) -> GateRefusal:

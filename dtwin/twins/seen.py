@@ -34,7 +34,7 @@ from dtwin.twins.members import Cause, Member, Version
 from dtwin.twins.of_kind import AnyTwin, AnyTwins
 from dtwin.twins.verbs import Twins
 
-Rows = Callable[[Observations], Indices]
+_Rows = Callable[[Observations], Indices]
 """Which rows of a campaign a fit takes."""
 _Agree = Callable[[PathMember, Sizes], Sizes]
 """What fits of other kinds make of the sizes of one."""
@@ -61,7 +61,7 @@ class Seen:
     tests: tuple[Observations, ...]
     contradictions: tuple[Contradiction, ...]
     library: WithLearned
-    refit: Callable[[Rows], Twin]
+    refit: Callable[[_Rows], Twin]
     lacks: Callable[[Term | None, int], Diagnosis]
     elsewhere: Callable[[Term, int], Sequence[str]] = lambda term, seed: ()
 
@@ -148,7 +148,7 @@ def _as_they_are(_: PathMember, sizes: Sizes) -> Sizes:
 def _of_one(twins: Twins, twin: Twin) -> Seen:
     obs = load(twins.home, twin.campaign).obs
 
-    def refit(rows: Rows) -> Twin:
+    def refit(rows: _Rows) -> Twin:
         kept = rows(obs)
         if not len(kept):
             raise _nothing_left(obs.campaign.name)
@@ -177,7 +177,7 @@ def _of_several(
     number = member.campaigns.index(on)
     obs = campaigns[number]
 
-    def refit(rows: Rows) -> Twin:
+    def refit(rows: _Rows) -> Twin:
         rest = member.only(rows)
         if rest is None:
             raise _nothing_left(twin.campaign)

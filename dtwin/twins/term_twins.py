@@ -30,14 +30,14 @@ class _Measured(Protocol):
     def data(self) -> Mapping[str, Any]: ...
 
 
-T = TypeVar("T")
-L = TypeVar("L", bound=_Measured)
-D = TypeVar("D", bound=_Told)
-W = TypeVar("W", bound="TermTwin[Any]")
+_T = TypeVar("_T")
+_L = TypeVar("_L", bound=_Measured)
+_D = TypeVar("_D", bound=_Told)
+_W = TypeVar("_W", bound="TermTwin[Any]")
 
 
 @dataclass(frozen=True)
-class TermTwin(Generic[T]):
+class TermTwin(Generic[_T]):
     """A fitted twin; ``document`` is what is stored of it."""
 
     name: str
@@ -45,12 +45,12 @@ class TermTwin(Generic[T]):
     machine: str
     campaign: str
     action: str
-    terms: tuple[T, ...]
+    terms: tuple[_T, ...]
     figures: Mapping[str, Any]
     document: Mapping[str, Any]
 
     @classmethod
-    def of(cls, document: Mapping[str, Any], terms: tuple[T, ...]) -> Self:
+    def of(cls, document: Mapping[str, Any], terms: tuple[_T, ...]) -> Self:
         """Return the twin that was stored."""
         head = {key: document[key] for key in ("version", "machine", "campaign", "action", "figures")}
         return cls(name=document["twin"], terms=terms, document=document, **head)
@@ -70,7 +70,7 @@ class TermTwin(Generic[T]):
         return dict(self.document)
 
 
-class TermTwins(TwinShelf, ABC, Generic[T, L, W, D]):
+class TermTwins(TwinShelf, ABC, Generic[_T, _L, _W, _D]):
     """The twins of a home that are of one kind; a kind says what its terms are, and how they are fitted.
 
     ``named``: the kind; ``form``: of its documents; ``no_robust``: what helps against spoilt readings instead.
@@ -84,55 +84,55 @@ class TermTwins(TwinShelf, ABC, Generic[T, L, W, D]):
         super().__init__(home, self.named)
 
     @abstractmethod
-    def loaded(self, campaign: str) -> L:
+    def loaded(self, campaign: str) -> _L:
         """Return a campaign as it is fitted, with its ``machine``, ``campaign`` and ``data``."""
 
     @abstractmethod
-    def asked(self, loaded: L, effects: Sequence[str], axis: str) -> Sequence[T]:
+    def asked(self, loaded: _L, effects: Sequence[str], axis: str) -> Sequence[_T]:
         """Return the terms that a user names."""
 
     @abstractmethod
-    def label(self, term: T) -> str:
+    def label(self, term: _T) -> str:
         """Return a term as a user writes it."""
 
-    def joined(self, loaded: L, terms: Sequence[T], more: Sequence[T]) -> Sequence[T]:
+    def joined(self, loaded: _L, terms: Sequence[_T], more: Sequence[_T]) -> Sequence[_T]:
         """Return terms with others."""
         return (*terms, *more)
 
-    def same(self, one: T, other: T) -> bool:
+    def same(self, one: _T, other: _T) -> bool:
         """Return whether two terms are one effect."""
         return one == other
 
-    def refound(self, loaded: L, terms: Sequence[T]) -> Sequence[T]:
+    def refound(self, loaded: _L, terms: Sequence[_T]) -> Sequence[_T]:
         """Return terms with the shapes that this campaign alone gives them."""
         return terms
 
     @abstractmethod
-    def diagnosed(self, loaded: L, terms: Sequence[T]) -> D:
+    def diagnosed(self, loaded: _L, terms: Sequence[_T]) -> _D:
         """Return what a twin of these terms lacks."""
 
     @abstractmethod
-    def possible(self, loaded: L) -> Sequence[T]:
+    def possible(self, loaded: _L) -> Sequence[_T]:
         """Return every term that a campaign may tell."""
 
     @abstractmethod
-    def cause(self, loaded: L, term: T) -> tuple[str, str] | None:
+    def cause(self, loaded: _L, term: _T) -> tuple[str, str] | None:
         """Return what of the machine a term measures, and on which axis; None where it belongs to the campaign."""
 
     @abstractmethod
-    def sizes(self, loaded: L, terms: Sequence[T]) -> Sizes:
+    def sizes(self, loaded: _L, terms: Sequence[_T]) -> Sizes:
         """Fit terms to a campaign."""
 
     @abstractmethod
-    def told(self, loaded: L, terms: Sequence[T], sizes: Sizes) -> Mapping[str, Any]:
+    def told(self, loaded: _L, terms: Sequence[_T], sizes: Sizes) -> Mapping[str, Any]:
         """Return what is stored of a fit: ``effects``, ``parameters``, ``figures`` and what else the kind needs."""
 
     @abstractmethod
-    def against(self, twin: W, campaign: str) -> Any:
+    def against(self, twin: _W, campaign: str) -> Any:
         """Compare a twin with measurements."""
 
     @abstractmethod
-    def readings(self, loaded: L) -> int:
+    def readings(self, loaded: _L) -> int:
         """Return how many readings a campaign has."""
 
     def members(self, campaigns: Sequence[str]) -> Sequence[Member]:
@@ -140,10 +140,10 @@ class TermTwins(TwinShelf, ABC, Generic[T, L, W, D]):
         return [_TermMember(self, campaign) for campaign in campaigns]
 
     @abstractmethod
-    def stored(self, document: Mapping[str, Any]) -> W:
+    def stored(self, document: Mapping[str, Any]) -> _W:
         """Return the twin of a document."""
 
-    def fit(self, campaign: str, effects: Sequence[str], name: str, *, robust: bool = False) -> W:
+    def fit(self, campaign: str, effects: Sequence[str], name: str, *, robust: bool = False) -> _W:
         """Fit a twin to a campaign; an existing twin of that name gets a new version.
 
         Raises ``InputError`` when an effect is not known, or a robust fit is asked for.
@@ -159,14 +159,14 @@ class TermTwins(TwinShelf, ABC, Generic[T, L, W, D]):
         twin = self.newest(name)
         return self.against(twin, campaign or twin.campaign)
 
-    def diagnose(self, name: str, *, seed: int = 0) -> tuple[W, D]:
+    def diagnose(self, name: str, *, seed: int = 0) -> tuple[_W, _D]:
         """Find out what a twin lacks; nothing here is random."""
         twin = self.newest(name)
         loaded = self.loaded(twin.campaign)
         require_same_machine(name, twin.machine, loaded.campaign, loaded.machine)
         return twin, self._diagnosed(twin, loaded)
 
-    def add(self, name: str, effect: str, axis: str = "") -> W:
+    def add(self, name: str, effect: str, axis: str = "") -> _W:
         """Add an effect, of one axis or of all, refit, and store the new version."""
         twin = self.newest(name)
         loaded = self.loaded(twin.campaign)
@@ -176,7 +176,7 @@ class TermTwins(TwinShelf, ABC, Generic[T, L, W, D]):
         action = f"add {', '.join(map(self.label, more))}"
         return self._store(name, loaded, self.joined(loaded, twin.terms, more), action, twin.version)
 
-    def remove(self, name: str, effect: str, axis: str = "") -> W:
+    def remove(self, name: str, effect: str, axis: str = "") -> _W:
         """Take an effect out, of one axis or of all, refit, and store the new version."""
         twin = self.newest(name)
         loaded = self.loaded(twin.campaign)
@@ -186,12 +186,12 @@ class TermTwins(TwinShelf, ABC, Generic[T, L, W, D]):
             raise effect_absent(twin, effect)
         return self._store(name, loaded, kept, f"remove {effect}{f'@{axis}' if axis else ''}", twin.version)
 
-    def restore(self, name: str, version: int) -> W:
+    def restore(self, name: str, version: int) -> _W:
         """Refit with the effects of an older version, and store that as a new one."""
         old = self.newest(name, version)
         return self._store(name, self.loaded(old.campaign), old.terms, f"restore v{version}")
 
-    def newest(self, name: str, version: int | None = None) -> W:
+    def newest(self, name: str, version: int | None = None) -> _W:
         """Return a version of a twin, the newest one without a number."""
         document, path = self.newest_document(name, version)
         try:
@@ -201,20 +201,20 @@ class TermTwins(TwinShelf, ABC, Generic[T, L, W, D]):
         except (KeyError, TypeError, ValueError) as error:
             raise unknown_form(f"a twin of {self.named}", str(path), self.form, error) from error
 
-    def _diagnosed(self, twin: W, loaded: L) -> D:
+    def _diagnosed(self, twin: _W, loaded: _L) -> _D:
         diagnosis = self.diagnosed(loaded, twin.terms)
         named = {"twin": twin.name, "version": twin.version, "campaign": twin.campaign}
         self.store_diagnosis({**named, **diagnosis.as_dict()})
         return diagnosis
 
-    def _store(self, name: str, loaded: L, terms: Sequence[T], action: str, base: int | None = None) -> W:
+    def _store(self, name: str, loaded: _L, terms: Sequence[_T], action: str, base: int | None = None) -> _W:
         version = self.next_version(name, loaded.machine, base)
         document = self.made(loaded, terms, self.sizes(loaded, terms), name=name, version=version, action=action)
         self.store(document)
         return self.stored(document)
 
     def made(
-        self, loaded: L, terms: Sequence[T], sizes: Sizes, *, name: str, version: int, action: str
+        self, loaded: _L, terms: Sequence[_T], sizes: Sizes, *, name: str, version: int, action: str
     ) -> dict[str, Any]:
         """Return what is stored of a version, with these sizes."""
         head = {"format": self.form, "kind": self.named, "twin": name, "version": version}

@@ -22,8 +22,8 @@ _AVERAGE_COLUMNS = ("Position", "LinearError")
 _SIGN_TOLERANCE = 1e-6 + 1e-9
 _MAX_BYTES = 64 * 1024 * 1024
 _NAMES = frozenset(_COLUMNS)
-Sense = Literal["decrease", "increase"]
-_SENSES: tuple[Sense, ...] = ("decrease", "increase")
+_Sense = Literal["decrease", "increase"]
+_SENSES: tuple[_Sense, ...] = ("decrease", "increase")
 
 
 @dataclass(frozen=True)
@@ -95,7 +95,7 @@ def write_laser_file(path: Path, test: LaserTest) -> Path:
     return write_text(path, "\n".join([*lines, ""]), "the laser file")
 
 
-def linear_error(position: Floats, reading: Floats, start: float, sense: Sense) -> Floats:
+def linear_error(position: Floats, reading: Floats, start: float, sense: _Sense) -> Floats:
     """Return actual minus commanded position, shape (n,), in the unit of the arguments.
 
     ``position``, ``reading``: commanded positions, and what the laser shows there, shape (n,) each; it was zeroed at
@@ -107,7 +107,7 @@ def linear_error(position: Floats, reading: Floats, start: float, sense: Sense) 
     return travelled - (position - start)
 
 
-def sign_rule(test: LaserTest) -> tuple[Sense | None, bool]:
+def sign_rule(test: LaserTest) -> tuple[_Sense | None, bool]:
     """Return the sense that explains the file's own errors, and whether their sign is the rule's.
 
     Returns ``sense``: none when neither sense explains the errors, with either sign.
