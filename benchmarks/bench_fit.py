@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dtwin.physics.solve import in_blocks, solve_blocks
+from dtwin.physics._solve import in_blocks, solve_blocks
 
 ROWS, COLUMNS, CONDITION = 1_000_000, 30, 1e6
 

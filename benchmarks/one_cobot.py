@@ -28,7 +28,7 @@ from dtwin.acquire.ingest import ingest
 from dtwin.config import Home
 from dtwin.lake.store import Lake
 from dtwin.report.text import table
-from dtwin.twins.machine_twins import MachineTwins
+from dtwin.twins._machine_twins import MachineTwins
 
 EFFECTS = ("joint_zero", "thermal_growth")
 GROWTH_UM_M_K, TURNED = 15.0, 3

@@ -14,9 +14,9 @@ from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.kinds.volumetric._chain import coefficient, design
 from dtwin.kinds.volumetric._evidence import changes_left_um, distance_changes_um, predicted
+from dtwin.kinds.volumetric._session import REFERENCE_CYCLES, Session, Strokes
 from dtwin.kinds.volumetric._thermal_model import ThermalModel, fit_thermal, inflation
 from dtwin.kinds.volumetric._training import serving_bundle
-from dtwin.kinds.volumetric.session import REFERENCE_CYCLES, Session, Strokes
 from dtwin.lake.store import Lake
 from dtwin.schema import Floats
 from dtwin.serve.bundle_file import save_bundle

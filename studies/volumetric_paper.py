@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from dtwin.config import Home
+from dtwin.kinds.volumetric._session import Session, session
 from dtwin.kinds.volumetric._simulate import parameters_of, simulate_volumetric
-from dtwin.kinds.volumetric.session import Session, session
 from dtwin.progress import Progress
 from studies.heat import judged, models_of, with_offered
 from studies.paper_line import Line, by_what_is_left, left_open, worst, yes_or_no

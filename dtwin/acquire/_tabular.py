@@ -17,8 +17,8 @@ import pyarrow.csv as pa_csv
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from dtwin.acquire._parquet_file import foreign_table
 from dtwin.acquire._readings import usable
-from dtwin.acquire.parquet_file import foreign_table
 from dtwin.acquire.repeated_heads import require_heads, require_whole_end
 from dtwin.acquire.spreadsheet import ending_as_table, is_spreadsheet, table_bytes
 from dtwin.acquire.table_dialect import encoding_of, is_comment, marked_heads

@@ -155,7 +155,7 @@ def recorders(sensors: Path | None, robot: str | None, streams: Path | None = No
 
         instruments.append(RobotRecorder(robot))
     if streams is not None:
-        from dtwin.acquire.stream_file import read_streams_file
+        from dtwin.acquire._stream_file import read_streams_file
 
         instruments += read_streams_file(streams)
     return instruments

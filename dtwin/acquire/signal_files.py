@@ -12,10 +12,10 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
+from dtwin.acquire._parquet_file import require_moderate
 from dtwin.acquire._readings import usable
 from dtwin.acquire.foreign_columns import below_heads, header_row
 from dtwin.acquire.foreign_columns import columns_of as named_columns
-from dtwin.acquire.parquet_file import require_moderate
 from dtwin.acquire.repeated_heads import require_heads_for_all
 from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
 from dtwin.acquire.spreadsheet import table_bytes

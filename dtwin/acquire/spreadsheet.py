@@ -17,9 +17,9 @@ from typing import Any
 import pyarrow as pa
 
 from dtwin.acquire._html_table import table_of_page
+from dtwin.acquire._parquet_file import foreign_table
 from dtwin.acquire.axis_titles import axis_of, require_axis
 from dtwin.acquire.foreign_columns import is_number
-from dtwin.acquire.parquet_file import foreign_table
 from dtwin.acquire.table_dialect import decoded, points_of, rows_of
 from dtwin.acquire.xmlsafe import read_bounded, require_bounded
 from dtwin.errors import InputError

@@ -7,10 +7,10 @@ from collections.abc import Collection, Sequence
 import numpy as np
 
 from dtwin.physics._dictionary import Dictionary, Entry, is_periodic
+from dtwin.physics._score import NoiseLevel
 from dtwin.physics.candidates import Candidate, independent_by_products, independent_pitches
 from dtwin.physics.effect import Instance
 from dtwin.physics.problem import Problem
-from dtwin.physics.score import NoiseLevel
 
 
 def in_best_shapes(

@@ -10,13 +10,13 @@ from dtwin.physics import localise
 from dtwin.physics._dictionary import PITCH, is_periodic
 from dtwin.physics._grading import survivors, variables
 from dtwin.physics._laws import LawTest
+from dtwin.physics._plausible import at_its_end
 from dtwin.physics._rivals import Found
+from dtwin.physics._search import Search
 from dtwin.physics._trust import alike_in_harmonics, does_um, sum_um
 from dtwin.physics.candidates import Candidates
 from dtwin.physics.observations import SETUP_COLUMNS, Observations
-from dtwin.physics.plausible import at_its_end
 from dtwin.physics.problem import Problem
-from dtwin.physics.search import Search
 
 # At this p-value what is left is certain.
 LACK_OF_FIT = 0.003

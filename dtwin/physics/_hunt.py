@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dtwin.physics._dictionary import PITCH, Dictionary, Entry, is_periodic
+from dtwin.physics._learned_places import LEARNED
+from dtwin.physics._plausible import at_its_end
 from dtwin.physics._shapes import refined
 from dtwin.physics.candidates import Candidates
-from dtwin.physics.learned_places import LEARNED
-from dtwin.physics.plausible import at_its_end
 from dtwin.physics.problem import Problem, Term
 
 # An effect must explain this share of what is left beyond noise, which may be misfit.

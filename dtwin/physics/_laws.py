@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dtwin.physics._rivals import Found
+from dtwin.physics._score import NoiseLevel, Score, score_test
 from dtwin.physics.candidates import Candidate, Candidates
 from dtwin.physics.effect import Law
 from dtwin.physics.observations import SETUP_COLUMNS, Observations
 from dtwin.physics.problem import Problem, least_visible
-from dtwin.physics.score import NoiseLevel, Score, score_test
 from dtwin.physics.whitening import to_harmonics, within_condition
 from dtwin.schema import Floats
 

@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from dtwin.physics._learned_places import BUMP, END, LATE, PLACE, REACH, STEP
 from dtwin.physics.candidates import Candidates
 from dtwin.physics.effect import Instance
-from dtwin.physics.learned_places import BUMP, END, LATE, PLACE, REACH, STEP
 from dtwin.physics.observations import Observations
 from dtwin.physics.problem import Problem, Term
 from dtwin.units import shown_number

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from dtwin.physics._score import NoiseLevel
 from dtwin.physics.candidates import Candidate, Candidates
 from dtwin.physics.effect import Effect
 from dtwin.physics.problem import Problem, Term
-from dtwin.physics.score import NoiseLevel
 
 # A thermometer is off by so much of a rise, or stands elsewhere: what follows it then explains no less.
 _OF_LOGGED = 0.97

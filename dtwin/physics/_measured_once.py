@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from dtwin.physics._score import HIGHEST_HARMONIC
 from dtwin.physics.observations import Observations
 from dtwin.physics.problem import Term, unweighted
-from dtwin.physics.score import HIGHEST_HARMONIC
 from dtwin.physics.whitening import harmonic_numbers
 
 _COPIES = 3

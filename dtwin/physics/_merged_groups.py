@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
+from dtwin.physics._one_size import of_other_sizes
 from dtwin.physics.diagnosis import Suspect
 from dtwin.physics.effect import Effect
 from dtwin.physics.joint import Joint, MachineTest, Shared
 from dtwin.physics.machine_terms import cause_of, machine_terms
-from dtwin.physics.one_size import of_other_sizes
 from dtwin.physics.problem import Term
 from dtwin.physics.state import AXES_OF
 

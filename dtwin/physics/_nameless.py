@@ -10,11 +10,11 @@ import numpy as np
 from dtwin.physics._dictionary import Dictionary, Entry, dictionary_for
 from dtwin.physics._hunt import Hunt
 from dtwin.physics._law_search import LawKey, law_keys
+from dtwin.physics._learned_places import LEARNED
 from dtwin.physics._local_laws import MOST_TARGETS, local_laws
 from dtwin.physics.candidates import Candidates
 from dtwin.physics.effect import Instance
 from dtwin.physics.learned import law_size, learned_effect, name_of
-from dtwin.physics.learned_places import LEARNED
 from dtwin.physics.problem import INVISIBLE, Problem, Term, orthonormal, squares
 from dtwin.physics.whitening import harmonic_numbers
 from dtwin.schema import Floats

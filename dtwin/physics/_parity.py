@@ -10,12 +10,12 @@ import numpy as np
 from dtwin.physics import localise
 from dtwin.physics._local_laws import MOST_TARGETS
 from dtwin.physics._rivals import Found
+from dtwin.physics._search import Search
 from dtwin.physics._trust import does_um
 from dtwin.physics.candidates import Candidates
 from dtwin.physics.diagnosis import Diagnosis, Suspect
 from dtwin.physics.observations import Observations
 from dtwin.physics.problem import Problem
-from dtwin.physics.search import Search
 from dtwin.schema import Floats
 from dtwin.units import shown_number
 

@@ -9,12 +9,12 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from dtwin.physics._score import NoiseLevel, misfit, noise_level
+from dtwin.physics._solve import Solution, in_blocks, solve_blocks
 from dtwin.physics.candidates import probes
 from dtwin.physics.fit import shaped
 from dtwin.physics.observations import Observations
 from dtwin.physics.problem import Problem, Term, setup_columns, weighted_like
-from dtwin.physics.score import NoiseLevel, misfit, noise_level
-from dtwin.physics.solve import Solution, in_blocks, solve_blocks
 from dtwin.physics.whitening import condition_sums, within_condition, zero_weighted
 from dtwin.schema import Floats
 from dtwin.statistics import k2_factor

@@ -13,11 +13,11 @@ from dtwin.physics._best_shapes import in_best_shapes
 from dtwin.physics._condensed import Condensed
 from dtwin.physics._dictionary import Dictionary, Entry, is_periodic
 from dtwin.physics._logged_heat import as_good_as_logged, logged_instead
+from dtwin.physics._score import NoiseLevel, misfit, noise_level, score_test
 from dtwin.physics._shapes import refined
 from dtwin.physics.candidates import Candidate, Candidates, probes
 from dtwin.physics.cross_validation import left_out_gain, left_out_places
 from dtwin.physics.problem import Problem, Term, least_visible
-from dtwin.physics.score import NoiseLevel, misfit, noise_level, score_test
 from dtwin.schema import Floats
 
 _GROUP_GAIN = 0.5

@@ -9,13 +9,13 @@ from dtwin.physics import localise
 from dtwin.physics._grading import SHOWN, grade_of, survivors, variables
 from dtwin.physics._laws import LawTest
 from dtwin.physics._rivals import Found
+from dtwin.physics._search import Search
 from dtwin.physics.candidates import Candidate, Candidates
 from dtwin.physics.cross_validation import left_out_gain
 from dtwin.physics.diagnosis import Suspect
 from dtwin.physics.fit import Estimate, fit
 from dtwin.physics.observations import Observations
 from dtwin.physics.problem import Problem, Term, unweighted
-from dtwin.physics.search import Search
 
 # Of what the best effect explains, RMS.
 _NEARLY = 0.9

@@ -9,8 +9,8 @@ import numpy as np
 from dtwin.physics import localise
 from dtwin.physics._laws import share_that_follows
 from dtwin.physics._rivals import Found
+from dtwin.physics._search import Search
 from dtwin.physics.observations import Observations
-from dtwin.physics.search import Search
 from dtwin.physics.whitening import from_harmonics, harmonic_numbers, to_harmonics
 from dtwin.schema import Floats
 

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from dtwin.physics._score import misfit, noise_level
 from dtwin.physics.candidates import probes
 from dtwin.physics.problem import Problem, Term, weighted_like
-from dtwin.physics.score import misfit, noise_level
 from dtwin.physics.whitening import condition_sums, within_condition, zero_weighted
 from dtwin.schema import Floats
 from dtwin.statistics import k2_factor

@@ -8,10 +8,10 @@ import numpy as np
 
 from dtwin.physics import localise
 from dtwin.physics._screen import Channel
+from dtwin.physics._search import Search
 from dtwin.physics.diagnosis import Unresolved
 from dtwin.physics.observations import Observations
 from dtwin.physics.problem import Term
-from dtwin.physics.search import Search
 from dtwin.schema import Floats
 from dtwin.units import shown_number
 

@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from dtwin.physics._reference_lines import over
+from dtwin.physics._score import NoiseLevel, Score, score_test
 from dtwin.physics.effect import Effect, Instance
 from dtwin.physics.gridding import CIRCLE, Indices, bin_angle_rad
 from dtwin.physics.library import campaign_instances
 from dtwin.physics.observations import Observations
 from dtwin.physics.problem import INVISIBLE, Problem, Term, least_visible, squares
-from dtwin.physics.score import NoiseLevel, Score, score_test
 from dtwin.physics.screw import ORDERS, PITCH
 from dtwin.physics.state import AXES_OF
 from dtwin.physics.whitening import from_harmonics

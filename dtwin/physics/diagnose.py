@@ -38,7 +38,9 @@ from dtwin.physics._measured_once import as_if_repeated
 from dtwin.physics._nameless import local, nameless, simpler_law
 from dtwin.physics._outliers import odd_of_two, odd_runs
 from dtwin.physics._parity import Curve, curves_left, joined
+from dtwin.physics._score import HIGHEST_HARMONIC
 from dtwin.physics._screen import Channel, screen_channels
+from dtwin.physics._search import Search, search
 from dtwin.physics._spread import spread_of, unsteady
 from dtwin.physics._suspects import closest, members, sized, suspect, suspects
 from dtwin.physics._trust import sum_um, trusted
@@ -49,8 +51,6 @@ from dtwin.physics.effect import Effect
 from dtwin.physics.learned import can_learn
 from dtwin.physics.observations import Observations
 from dtwin.physics.problem import Problem, Term, set_up, unweighted, weighted_like
-from dtwin.physics.score import HIGHEST_HARMONIC
-from dtwin.physics.search import Search, search
 from dtwin.units import shown_number
 
 _FIT_IS_DOUBTFUL = 0.05

@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 from dtwin.errors import InputError
 from dtwin.physics import localise
 from dtwin.physics._condensed import Condensed, condensed
+from dtwin.physics._plausible import implausible
 from dtwin.physics._reference_lines import with_reference_lines
 from dtwin.physics._shapes import refined
+from dtwin.physics._solve import in_blocks, solve_blocks
 from dtwin.physics._uncertainty import expanded
 from dtwin.physics.candidates import Candidates, likely_pitches
 from dtwin.physics.observations import Observations
-from dtwin.physics.plausible import implausible
 from dtwin.physics.problem import Problem, Term, least_visible, set_up, setup_columns, unweighted, unweighted_with_noise
-from dtwin.physics.solve import in_blocks, solve_blocks
 from dtwin.physics.whitening import from_harmonics
 from dtwin.schema import Floats
 

@@ -9,8 +9,8 @@ import numpy as np
 
 from dtwin.errors import InputError
 from dtwin.physics._law_search import LawKey, ScalingLaw
+from dtwin.physics._learned_places import LEARNED, PLACES
 from dtwin.physics.effect import Effect, Law, Parameter, Shape, stacked
-from dtwin.physics.learned_places import LEARNED, PLACES
 from dtwin.physics.state import State
 from dtwin.schema import Floats
 

@@ -10,11 +10,11 @@ import numpy as np
 
 from dtwin.errors import InputError
 from dtwin.physics import localise
+from dtwin.physics._plausible import implausible
 from dtwin.physics.effect import Effect, Instance
 from dtwin.physics.fit import Estimate, Fit
 from dtwin.physics.library import campaign_instances
 from dtwin.physics.observations import Observations
-from dtwin.physics.plausible import implausible
 from dtwin.physics.problem import Term
 from dtwin.physics.state import AXES_OF
 from dtwin.schema import Floats

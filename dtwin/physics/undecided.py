@@ -9,6 +9,7 @@ from dtwin.physics._best_set import away_from_reversals, is_sharp
 from dtwin.physics._grading import laws_of, survivors
 from dtwin.physics._hunt import MISFIT, repeat_variance
 from dtwin.physics._measured_once import as_if_repeated
+from dtwin.physics._one_size import of_other_sizes
 from dtwin.physics._rivals import described
 from dtwin.physics.candidates import Candidates, applicable
 from dtwin.physics.diagnosis import Diagnosis
@@ -16,7 +17,6 @@ from dtwin.physics.effect import Effect
 from dtwin.physics.joint import MachineTest, joint
 from dtwin.physics.machine_terms import key_of
 from dtwin.physics.observations import Observations
-from dtwin.physics.one_size import of_other_sizes
 from dtwin.physics.problem import Problem, Term, set_up, unweighted, weighted_like
 
 # Of the copies of runs that were measured once.

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dtwin.acquire.quality import judge_clock, judge_places
+from dtwin.positioning._cycles import ORDINARY, moving_zero, shifted_zero, zero_of_each_cycle
+from dtwin.positioning._moving_reversal import moving_reversal
 from dtwin.positioning._spoilt import spoilt_finding
-from dtwin.positioning.cycles import ORDINARY, moving_zero, shifted_zero, zero_of_each_cycle
 from dtwin.positioning.matrix import TARGET_MM, LinearTest, clock_is_assumed, linear_test
-from dtwin.positioning.moving_reversal import moving_reversal
 from dtwin.positioning.ways import BOTH, LENGTHS, Scale, Ways, ways_of
 from dtwin.schema import Finding, Floats, Run
 from dtwin.units import is_number, shown_number

@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from dtwin.positioning.cycles import moving_zero
+from dtwin.positioning._cycles import moving_zero
+from dtwin.positioning._moving_reversal import moving_reversal
 from dtwin.positioning.matrix import TARGET_MM, LinearTest, clock_is_assumed, in_order, linear_test
-from dtwin.positioning.moving_reversal import moving_reversal
 from dtwin.positioning.ways import LENGTHS, ways_of
 from dtwin.schema import Run
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from dtwin.report.recorded import events_words
+from dtwin.report._recorded import events_words
 from dtwin.report.sheet import number_of
 from dtwin.report.text import decimals
 from dtwin.units import shown_unit

@@ -7,8 +7,8 @@ from typing import Any
 
 from dtwin.machine_record import Event, events_between
 from dtwin.physics.effect import Effect
+from dtwin.report._recorded import contradiction_words, events_words
 from dtwin.report.faults import title_of, with_k2
-from dtwin.report.recorded import contradiction_words, events_words
 from dtwin.report.text import words_of
 
 _Told = Mapping[str, Any]

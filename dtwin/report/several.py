@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 from dtwin.physics.several_twin import SeveralTwin
 from dtwin.report import twins
+from dtwin.report._recorded import contradiction_words
 from dtwin.report.faults import with_k2
 from dtwin.report.html import Section, Table
-from dtwin.report.recorded import contradiction_words
 from dtwin.report.text import VERDICTS, micrometres, table
 from dtwin.report.twins import history_section as history_section
 from dtwin.report.twins import number

@@ -17,7 +17,7 @@ from dtwin.physics.machine_terms import cause_of, key_of, seen_by
 from dtwin.physics.several import fit_several
 from dtwin.physics.several_twin import SeveralTwin
 from dtwin.physics.twin import Twin
-from dtwin.twins.machine_twins import MachineTwins
+from dtwin.twins._machine_twins import MachineTwins
 from dtwin.twins.measured import load, rises_from_one
 from dtwin.twins.members import Cause
 from dtwin.twins.of_kind import AnyTwin, AnyTwins

@@ -11,8 +11,8 @@ from dtwin.errors import InputError
 from dtwin.kinds.registry import kind_named, kinds
 from dtwin.lake.store import Lake
 from dtwin.physics.effect import Effect
+from dtwin.twins._machine_twins import MachineTwins
 from dtwin.twins.machine_twin import MACHINE, MachineTwin
-from dtwin.twins.machine_twins import MachineTwins
 from dtwin.twins.several import require_together
 from dtwin.twins.shelf import kind_of
 

@@ -153,7 +153,7 @@ def log_soon(home: Home, name: str, *, at_once: bool, ahead: bool = False) -> No
     _children[:] = [child for child in _children if child.poll() is None]
     _children.append(
         subprocess.Popen(
-            [sys.executable, "-P", "-m", "dtwin.twins.background", str(home.root), *([name] if ahead else [])],
+            [sys.executable, "-P", "-m", "dtwin.twins._background", str(home.root), *([name] if ahead else [])],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,

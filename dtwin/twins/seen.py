@@ -27,8 +27,8 @@ from dtwin.physics.several_twin import SeenTwin, SeveralTwin, seen_in
 from dtwin.physics.state import AXES_OF
 from dtwin.physics.twin import Twin, twin_of
 from dtwin.twins._learned import WithLearned
+from dtwin.twins._machine_twins import MachineTwins
 from dtwin.twins._path_member import PathMember
-from dtwin.twins.machine_twins import MachineTwins
 from dtwin.twins.measured import load
 from dtwin.twins.members import Cause, Member, Version
 from dtwin.twins.of_kind import AnyTwin, AnyTwins

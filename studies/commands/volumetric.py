@@ -33,7 +33,7 @@ def fit(
 ) -> None:
     """Identify the error motions of every cycle, predict them from temperatures, judge elsewhere."""
     from dtwin.atomic import write_text
-    from dtwin.kinds.volumetric.session import session
+    from dtwin.kinds.volumetric._session import session
     from studies.heat import judged, models_of, with_offered, write_bundle
     from studies.judged_bundle import require_new
     from studies.report.heat import judged_text, volumetric_page

@@ -22,10 +22,10 @@ from paho.mqtt.enums import CallbackAPIVersion
 from typer.testing import CliRunner
 
 from dtwin.acquire._mqtt import MqttRecorder
+from dtwin.acquire._stream_file import read_streams_file
 from dtwin.acquire.campaign_folder import open_campaign
 from dtwin.acquire.run_recording import RunRequest, record_run
 from dtwin.acquire.signal_files import read_signals
-from dtwin.acquire.stream_file import read_streams_file
 from dtwin.cli import app
 from dtwin.errors import DeviceError, InputError
 

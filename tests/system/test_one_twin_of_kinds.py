@@ -16,7 +16,7 @@ from dtwin.kinds.drift._twins import DriftTwins
 from dtwin.kinds.poses._twins import PoseTwins
 from dtwin.lake.store import Lake
 from dtwin.physics.several_twin import SeenTwin
-from dtwin.twins.background import _diagnose
+from dtwin.twins._background import _diagnose
 from dtwin.twins.of_kind import twins_with
 from dtwin.twins.seen import seen_on
 from dtwin.twins.term_twins import TermTwins

@@ -21,8 +21,8 @@ from dtwin.kinds.volumetric._check import judge_volumetric_run
 from dtwin.kinds.volumetric._evidence import _judged_hours, distance_changes_um
 from dtwin.kinds.volumetric._identify import Artefact, Balls, averaged_balls
 from dtwin.kinds.volumetric._plan import BallPlan
+from dtwin.kinds.volumetric._session import session, session_in
 from dtwin.kinds.volumetric._simulate import ServedMill, simulate_volumetric
-from dtwin.kinds.volumetric.session import session, session_in
 from dtwin.lake.store import Lake
 from dtwin.lifecycle.schedule import scheduled_training
 from dtwin.machines.thermal_network import _TRAINING

@@ -113,7 +113,7 @@ def test_ctrl_c_does_not_wait_for_a_call_that_does_not_hear_it() -> None:
 
 
 def test_what_goes_on_in_the_background_ends_when_its_home_has_vanished(tmp_path: Path) -> None:
-    begins = f"from pathlib import Path; from dtwin.twins.background import _end_without; _end_without(Path({str(tmp_path / 'home')!r}))"
+    begins = f"from pathlib import Path; from dtwin.twins._background import _end_without; _end_without(Path({str(tmp_path / 'home')!r}))"
     (tmp_path / "home").mkdir()
     with subprocess.Popen([sys.executable, "-c", begins]) as child:
         with pytest.raises(subprocess.TimeoutExpired):

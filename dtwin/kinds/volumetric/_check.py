@@ -10,8 +10,8 @@ import numpy as np
 from dtwin.acquire.quality import judge_clock, judge_places
 from dtwin.kinds.volumetric._identify import Balls
 from dtwin.kinds.volumetric._plan import FEWEST_TABLE_BALLS, MOST_DRIFT_UM
+from dtwin.kinds.volumetric._session import PLAUSIBLE_C, balls_of, hours_of, hours_told
 from dtwin.kinds.volumetric._spoilt import spoilt_findings, spoilt_in, stroke_mm
-from dtwin.kinds.volumetric.session import PLAUSIBLE_C, balls_of, hours_of, hours_told
 from dtwin.schema import Campaign, Finding, Floats, Run, SignalGroup
 from dtwin.units import UM_PER_MM, shown_number
 

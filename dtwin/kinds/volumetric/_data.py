@@ -15,9 +15,9 @@ from dtwin.kinds.volumetric._chain import COEFFICIENTS, coefficient, design
 from dtwin.kinds.volumetric._heat_diagnosis import diagnose_heat
 from dtwin.kinds.volumetric._heat_series import HeatSeries
 from dtwin.kinds.volumetric._identify import FIXED_POSE, Artefact, Balls, Settled
+from dtwin.kinds.volumetric._session import REFERENCE_CYCLES, Session, session_in
 from dtwin.kinds.volumetric.heat_twin import HeatFit, HeatTwin, fit_heat, heat_twin_of
 from dtwin.kinds.volumetric.motions import HeatTerm, heat_terms
-from dtwin.kinds.volumetric.session import REFERENCE_CYCLES, Session, session_in
 from dtwin.lake.store import Lake
 from dtwin.physics.agreed import Sizes
 from dtwin.schema import Floats

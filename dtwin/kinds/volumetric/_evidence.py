@@ -11,8 +11,8 @@ import numpy as np
 from dtwin.config import Home
 from dtwin.errors import GateRefusal
 from dtwin.kinds.volumetric._identify import Balls
+from dtwin.kinds.volumetric._session import REFERENCE_CYCLES, Session, session_in
 from dtwin.kinds.volumetric._thermal_model import ThermalModel, independent
-from dtwin.kinds.volumetric.session import REFERENCE_CYCLES, Session, session_in
 from dtwin.lake.store import Lake
 from dtwin.progress import Progress
 from dtwin.schema import Floats

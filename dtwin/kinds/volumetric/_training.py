@@ -12,8 +12,8 @@ from dtwin import __version__
 from dtwin.errors import InputError
 from dtwin.kinds.volumetric._chain import coefficient
 from dtwin.kinds.volumetric._evidence import changes_left_um, corrections, distance_changes_um, predicted
+from dtwin.kinds.volumetric._session import Session, session_in
 from dtwin.kinds.volumetric._thermal_model import ThermalModel, fit_thermal
-from dtwin.kinds.volumetric.session import Session, session_in
 from dtwin.lake.store import Lake
 from dtwin.progress import Progress, StageProgress
 from dtwin.schema import Floats

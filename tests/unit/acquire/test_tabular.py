@@ -14,9 +14,9 @@ import pyarrow.parquet as pq
 import pytest
 
 from dtwin.acquire._lone_table import safe_name
+from dtwin.acquire._parquet_file import require_moderate
 from dtwin.acquire._tabular import kind_of_table, read_columns
 from dtwin.acquire.ingest import open_source
-from dtwin.acquire.parquet_file import require_moderate
 from dtwin.acquire.spreadsheet import table_bytes
 from dtwin.acquire.xmlsafe import number_or_none
 from dtwin.errors import InputError

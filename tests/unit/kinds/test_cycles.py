@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from dtwin.positioning._cycles import _MOST_JUMPS, _jumps, _products_of_steps, moving_zero, zero_of_each_cycle
+from dtwin.positioning._moving_reversal import moving_reversal
 from dtwin.positioning._spoilt import spoilt_readings
 from dtwin.positioning.check import judge_positioning_campaign
-from dtwin.positioning.cycles import _MOST_JUMPS, _jumps, _products_of_steps, moving_zero, zero_of_each_cycle
 from dtwin.positioning.matrix import LinearTest
-from dtwin.positioning.moving_reversal import moving_reversal
 from dtwin.positioning.position_table import read_position_runs
 from dtwin.positioning.still import still
 from dtwin.schema import Campaign, Finding, Run

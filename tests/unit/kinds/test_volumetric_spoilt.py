@@ -11,8 +11,8 @@ import pytest
 from dtwin.errors import InputError
 from dtwin.kinds.registry import kind_named
 from dtwin.kinds.volumetric._identify import Balls
+from dtwin.kinds.volumetric._session import _temperatures, hours_of
 from dtwin.kinds.volumetric._spoilt import spoilt_in
-from dtwin.kinds.volumetric.session import _temperatures, hours_of
 from dtwin.schema import Campaign, Finding, Floats, Run, RunMeta, SignalGroup
 
 KIND = kind_named("volumetric")

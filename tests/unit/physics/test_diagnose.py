@@ -13,6 +13,7 @@ from dtwin.machines.mill import Moment, VirtualMill
 from dtwin.machines.mill_parameters import CircularTest, HeatParameters, MillParameters, NoiseParameters
 from dtwin.physics._nameless import nameless
 from dtwin.physics._rivals import _beside_a_part
+from dtwin.physics._score import noise_level
 from dtwin.physics.candidates import Candidates, applicable, probes
 from dtwin.physics.diagnose import diagnose
 from dtwin.physics.diagnosis import Diagnosis
@@ -21,7 +22,6 @@ from dtwin.physics.fit import fit
 from dtwin.physics.library import Library
 from dtwin.physics.observations import Observations, observe
 from dtwin.physics.problem import Term, set_up
-from dtwin.physics.score import noise_level
 from dtwin.physics.twin import chosen_terms
 from dtwin.schema import Direction, Floats, Run
 

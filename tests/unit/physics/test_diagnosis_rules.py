@@ -13,6 +13,8 @@ from scipy.stats import chi2
 from dtwin.acquire.virtual_mill import _standard_tests
 from dtwin.machines.mill import Moment, VirtualMill
 from dtwin.machines.mill_parameters import HeatParameters, MillParameters
+from dtwin.physics._score import Score
+from dtwin.physics._search import adjusted
 from dtwin.physics.candidates import Candidate, independent
 from dtwin.physics.diagnose import diagnose
 from dtwin.physics.diagnosis import Diagnosis, Suspect
@@ -21,8 +23,6 @@ from dtwin.physics.gridding import N_BINS
 from dtwin.physics.library import Library
 from dtwin.physics.observations import Observations, observe
 from dtwin.physics.problem import Term
-from dtwin.physics.score import Score
-from dtwin.physics.search import adjusted
 from dtwin.physics.twin import chosen_terms
 from dtwin.physics.whitening import harmonic_numbers, pure_error
 from dtwin.schema import Floats

@@ -7,17 +7,17 @@ import re
 import numpy as np
 import pytest
 
+from dtwin.physics._learned_places import PLACES
 from dtwin.physics._local_laws import local_laws
+from dtwin.physics._plausible import implausible
+from dtwin.physics._score import NoiseLevel, score_test
 from dtwin.physics.candidates import Candidates
 from dtwin.physics.diagnose import diagnose
 from dtwin.physics.effect import Instance
 from dtwin.physics.fit import fit
-from dtwin.physics.learned_places import PLACES
 from dtwin.physics.library import Library
 from dtwin.physics.observations import Observations, observe
-from dtwin.physics.plausible import implausible
 from dtwin.physics.problem import Term, set_up
-from dtwin.physics.score import NoiseLevel, score_test
 from dtwin.physics.twin import chosen_terms
 from dtwin.physics.whitening import pure_error
 from dtwin.report.twins import diagnosis_text

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from dtwin.physics._plausible import implausible
 from dtwin.physics.effect import Instance
 from dtwin.physics.library import Library
-from dtwin.physics.plausible import implausible
 from dtwin.physics.problem import Term
 
 LIBRARY = Library()

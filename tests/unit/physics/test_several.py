@@ -11,6 +11,7 @@ from mill_and_laser import circles, laser, warmed
 from dtwin.errors import InputError
 from dtwin.kinds.circular._correction import _other_rows
 from dtwin.machines.mill_parameters import MillParameters
+from dtwin.physics._one_size import of_other_sizes
 from dtwin.physics.contradictions import Contradiction, without_contradictions
 from dtwin.physics.diagnose import diagnose
 from dtwin.physics.effect import Instance
@@ -19,7 +20,6 @@ from dtwin.physics.library import Library
 from dtwin.physics.localise import residual_um
 from dtwin.physics.machine_terms import machine_terms, seen_by
 from dtwin.physics.observations import Observations
-from dtwin.physics.one_size import of_other_sizes
 from dtwin.physics.problem import Term
 from dtwin.physics.several import SeveralFit, fit_several
 from dtwin.physics.several_diagnosis import diagnose_several
@@ -428,7 +428,7 @@ def test_a_drift_that_temperature_follows_but_for_a_little_is_no_name_by_itself(
 def test_what_could_stand_in_the_place_of_nothing_is_not_fitted(monkeypatch: pytest.MonkeyPatch) -> None:
     bars = [circles(SCALED), circles(SCALED, 2, "again", feeds_mm_min=(2000.0, 4000.0))]
     asked: list[int] = []
-    monkeypatch.setattr("dtwin.physics.one_size.fit_several", lambda *_: asked.append(1))
+    monkeypatch.setattr("dtwin.physics._one_size.fit_several", lambda *_: asked.append(1))
     (group,) = diagnose_several(twin_of_all(bars, "scale_mismatch", "backlash"), bars, LIBRARY).undecided
     assert group[0] == "backlash Y"
     assert len(group) > 13
@@ -437,7 +437,7 @@ def test_what_could_stand_in_the_place_of_nothing_is_not_fitted(monkeypatch: pyt
 
 def test_an_effect_that_each_test_sees_on_an_axis_of_its_own_has_no_other_size(monkeypatch: pytest.MonkeyPatch) -> None:
     lasers = [laser("X", 30.0, 3.0), laser("Y", 0.0, 0.0)]
-    monkeypatch.setattr("dtwin.physics.one_size.fit_several", lambda *_: pytest.fail("nothing to compare"))
+    monkeypatch.setattr("dtwin.physics._one_size.fit_several", lambda *_: pytest.fail("nothing to compare"))
     assert of_other_sizes(["lead_error X", "backlash Y"], [], lasers, lasers[0].grid.kind, LIBRARY) == []
 
 

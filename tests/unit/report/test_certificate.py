@@ -27,8 +27,8 @@ from dtwin.kinds.volumetric._chain import COEFFICIENTS
 from dtwin.kinds.volumetric.motions import motion_words
 from dtwin.lake.store import Lake
 from dtwin.physics import localise
+from dtwin.physics._learned_places import PLACES
 from dtwin.physics.learned import learned_effect
-from dtwin.physics.learned_places import PLACES
 from dtwin.physics.library import Library
 from dtwin.pipeline.certificate import _one_that_can, certificate, facts_of
 from dtwin.report.certificate import certificate_page

@@ -13,12 +13,12 @@ from dtwin.physics._dictionary import Dictionary
 from dtwin.physics._hunt import without_bends
 from dtwin.physics._material import IMMATERIAL, floor_um, hidden_by_mask, material
 from dtwin.physics._rivals import Found, described, level_beside, refined_candidate
+from dtwin.physics._score import NoiseLevel, lack_of_fit, noise_level
 from dtwin.physics.candidates import Candidate, Candidates, independent, probes
 from dtwin.physics.cross_validation import left_out_gain
 from dtwin.physics.localise import in_angle, systematic_rms_um
 from dtwin.physics.observations import Observations
 from dtwin.physics.problem import Problem, Term, weighted_like
-from dtwin.physics.score import NoiseLevel, lack_of_fit, noise_level
 from dtwin.statistics import holm
 
 _ALPHA = 0.03

@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from dtwin.positioning._cycles import ORDINARY
 from dtwin.positioning._spoilt import spoilt_readings
-from dtwin.positioning.cycles import ORDINARY
 from dtwin.positioning.matrix import LinearTest
 from dtwin.positioning.ways import BOTH
 from dtwin.schema import Finding, Floats
