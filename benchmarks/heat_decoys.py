@@ -150,7 +150,7 @@ def elsewhere(decoys: str, seeds: range) -> dict[str, Any]:
         )
         for column, name in enumerate(MOTIONS):
             motion, rises = both.values[:, column], first.rises(both.thermocouples)
-            fitted = fit_thermal(name, motion[:n], rises, both.thermocouples, static=True)
+            fitted = fit_thermal(name, motion[:n], rises, both.thermocouples)
             left["nothing"].append(motion[n:])
             for how, model in (("what fits best", fitted), ("causes", first.driven(name, motion[:n]).model)):
                 left[how].append(motion[n:] - model.run(both.rises(model.sensors))[n:])

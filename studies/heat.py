@@ -21,6 +21,7 @@ from dtwin.lake.store import Lake
 from dtwin.schema import Floats
 from dtwin.serve.bundle_file import save_bundle
 from dtwin.statistics import rms
+from studies.thermal_memory import fit_remembering
 
 # An error motion is unexplained when a model takes away less than this of what can be seen.
 _UNEXPLAINED_PCT = 40.0
@@ -60,10 +61,8 @@ def models_of(
     """
     whole = with_offered(training, offered)
     names = whole.artefact.names
-    made = [
-        fit_thermal(name, whole.values[:, i], whole.rise_c, whole.sensors, static=static)
-        for i, name in enumerate(names)
-    ]
+    fit = fit_thermal if static else fit_remembering
+    made = [fit(name, whole.values[:, i], whole.rise_c, whole.sensors) for i, name in enumerate(names)]
     return made, whole
 
 
@@ -139,7 +138,7 @@ def _row(model: ThermalModel, measured: Session, column: int, left: Floats) -> d
         "rms_reduction_pct": reduction_pct(before, after),
         "uncertainty_um": _mean([found.uncertainty[column] for found in measured.found]),
         "sensors": list(model.sensors),
-        "memory": model.memory,
+        "memory": getattr(model, "memory", 0.0),
         "largest_inflation": float(inflation(used).max(initial=1.0)),
     }
 

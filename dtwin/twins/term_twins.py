@@ -18,6 +18,8 @@ from dtwin.twins.shelf import TwinShelf, effect_absent, effect_there, require_sa
 
 
 class _Told(Protocol):
+    @property
+    def additions(self) -> tuple[str, ...]: ...
     def as_dict(self) -> dict[str, Any]: ...
 
 
@@ -103,6 +105,10 @@ class TermTwins(TwinShelf, ABC, Generic[_T, _L, _W, _D]):
         """Return whether two terms are one effect."""
         return one == other
 
+    def without(self, terms: Sequence[_T], gone: Sequence[_T]) -> Sequence[_T]:
+        """Return terms without others."""
+        return [term for term in terms if not any(self.same(term, one) for one in gone)]
+
     def refound(self, loaded: _L, terms: Sequence[_T]) -> Sequence[_T]:
         """Return terms with the shapes that this campaign alone gives them."""
         return terms
@@ -132,8 +138,16 @@ class TermTwins(TwinShelf, ABC, Generic[_T, _L, _W, _D]):
         """Compare a twin with measurements."""
 
     @abstractmethod
-    def readings(self, loaded: _L) -> int:
-        """Return how many readings a campaign has."""
+    def discover(self, name: str, /, *, seed: int = 0) -> tuple[list[_W], list[tuple[str, ...]], _D]:
+        """Diagnose and add until nothing pays; return the new versions, the groups that were found, and the last diagnosis."""
+
+    @abstractmethod
+    def counted(self, loaded: _L, twin: _W) -> tuple[int, int]:
+        """Return how many runs and readings of a campaign a twin was fitted to."""
+
+    def groups(self, said: _D) -> tuple[tuple[str, ...], ...]:
+        """Return the groups of effects that a diagnosis names, the one to add first."""
+        return (said.additions,) if said.additions else ()
 
     def members(self, campaigns: Sequence[str]) -> Sequence[Member]:
         """Return campaigns of the lake as parts of a twin of several kinds, each by itself."""
@@ -180,8 +194,7 @@ class TermTwins(TwinShelf, ABC, Generic[_T, _L, _W, _D]):
         """Take an effect out, of one axis or of all, refit, and store the new version."""
         twin = self.newest(name)
         loaded = self.loaded(twin.campaign)
-        gone = self.asked(loaded, [effect], axis)
-        kept = [term for term in twin.terms if not any(self.same(term, one) for one in gone)]
+        kept = self.without(twin.terms, self.asked(loaded, [effect], axis))
         if len(kept) == len(twin.terms):
             raise effect_absent(twin, effect)
         return self._store(name, loaded, kept, f"remove {effect}{f'@{axis}' if axis else ''}", twin.version)
@@ -198,7 +211,7 @@ class TermTwins(TwinShelf, ABC, Generic[_T, _L, _W, _D]):
             if document["format"] != self.form:
                 raise ValueError(f"format {document['format']}")
             return self.stored(document)
-        except (KeyError, TypeError, ValueError) as error:
+        except (KeyError, TypeError, ValueError, InputError) as error:
             raise unknown_form(f"a twin of {self.named}", str(path), self.form, error) from error
 
     def _diagnosed(self, twin: _W, loaded: _L) -> _D:
@@ -250,7 +263,7 @@ class _TermMember(Member):
         return self._twins.joined(self._loaded, terms, fresh) if fresh else terms
 
     def without(self, terms: Sequence[Any], gone: Sequence[Any]) -> Sequence[Any]:
-        return [term for term in terms if not any(self._twins.same(term, one) for one in gone)]
+        return self._twins.without(terms, gone)
 
     def fit(self, terms: Sequence[Any], *, robust: bool, refine: bool) -> tuple[Sequence[Any], Sizes]:
         if robust:
@@ -268,18 +281,17 @@ class _TermMember(Member):
 
     def entries(self, twin: Any) -> list[dict[str, Any]]:
         ((campaign, day),) = self.begun
-        readings = self._twins.readings(self._loaded)
-        figures = twin.figures
+        runs, readings = self._twins.counted(self._loaded, twin)
+        named = ("rms_before_um", "systematic_rms_um", "noise_floor_um")
         return [
             {
                 "campaign": campaign,
                 "kind": self.kind,
                 "started": day,
-                "runs": 1,
+                "runs": runs,
                 "readings": readings,
-                "rms_before_um": figures["rms_before_um"],
-                "residual_rms_um": figures["rms_after_um"],
-                "noise_floor_um": figures["noise_floor_um"],
+                "residual_rms_um": twin.figures["rms_after_um"],
+                **{name: twin.figures[name] for name in named if name in twin.figures},
             }
         ]
 
@@ -288,5 +300,5 @@ class _TermMember(Member):
 
     def told(self, twin: Any, seed: int) -> Told:
         said = self._twins.diagnosed(self._loaded, twin.terms)
-        group = (said.additions,) if said.additions else ()
-        return Told(said.as_dict(), group, group, tuple(self.label(term) for term in said.idle))
+        groups = self._twins.groups(said)
+        return Told(said.as_dict(), groups, groups, tuple(self.label(term) for term in said.idle))

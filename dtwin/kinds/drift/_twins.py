@@ -153,8 +153,8 @@ class DriftTwins(TermTwins[Term, Loaded, DriftTwin, DriftDiagnosis]):
         told = {group[0]: group for group in reversed(groups) if group[0] in twin.labels}
         return made, [told[label] for label in twin.labels if label in told], said
 
-    def readings(self, loaded: Loaded) -> int:
-        return len(loaded.series.t_s)
+    def counted(self, loaded: Loaded, twin: DriftTwin) -> tuple[int, int]:
+        return 1, len(loaded.series.t_s)
 
     def possible(self, loaded: Loaded) -> Sequence[Term]:
         return asked(loaded.series, EFFECTS)

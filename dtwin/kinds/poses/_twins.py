@@ -169,8 +169,8 @@ class PoseTwins(TermTwins[Term, Loaded, PoseTwin, PoseDiagnosis]):
             said = self._diagnosed(twin, loaded)
         return made, groups, said
 
-    def readings(self, loaded: Loaded) -> int:
-        return len(loaded.rows)
+    def counted(self, loaded: Loaded, twin: PoseTwin) -> tuple[int, int]:
+        return 1, len(loaded.rows)
 
     def possible(self, loaded: Loaded) -> Sequence[Term]:
         return tuple(loaded.grams.series.slots)

@@ -4,28 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
 from dtwin.acquire.campaign_name import in_lake
 from dtwin.config import Home
 from dtwin.errors import InputError
-from dtwin.kinds.volumetric._chain import COEFFICIENTS, coefficient, design
-from dtwin.kinds.volumetric._heat_diagnosis import diagnose_heat
+from dtwin.kinds.volumetric._chain import COEFFICIENTS, design
 from dtwin.kinds.volumetric._heat_series import HeatSeries
 from dtwin.kinds.volumetric._identify import FIXED_POSE, Artefact, Balls, Settled
 from dtwin.kinds.volumetric._session import REFERENCE_CYCLES, Session, session_in
-from dtwin.kinds.volumetric.heat_twin import HeatFit, HeatTwin, fit_heat, heat_twin_of
-from dtwin.kinds.volumetric.motions import HeatTerm, heat_terms
+from dtwin.kinds.volumetric.motions import HeatTerm
 from dtwin.lake.store import Lake
-from dtwin.physics.agreed import Sizes
 from dtwin.schema import Floats
 from dtwin.statistics import chi2_tail
-from dtwin.twins.members import Cause, Member, Told, Version, day_of
-
-if TYPE_CHECKING:
-    from dtwin.kinds.volumetric.heat_twins import HeatComparison, HeatTwins
 
 _ORDERS = (1, 2)
 _MOST_MORE = 3
@@ -77,14 +71,28 @@ class HeatLoaded:
         )
 
 
-def load_heat(home: Home, campaign: str, wanted: Sequence[str] = ()) -> HeatLoaded:
-    """Return the usable cycles of a ball-array campaign.
+class HeatCampaign:
+    """A ball-array campaign: which error motions are identified in its cycles depends on what is asked.
 
     ``campaign``: name in the lake, or a folder, which is ingested first.
-    ``wanted``: error motions to identify beside the usual ones.
     """
-    lake = Lake(home.lake)
-    name = in_lake(home, campaign)
+
+    data: Mapping[str, Any] = MappingProxyType({})
+
+    def __init__(self, home: Home, campaign: str) -> None:
+        self._lake, self.campaign = Lake(home.lake), in_lake(home, campaign)
+        self.machine = self._lake.campaign(self.campaign).machine
+        self._cycles: HeatLoaded | None = None
+
+    def cycles(self, terms: Sequence[HeatTerm]) -> HeatLoaded:
+        """Return the usable cycles, with the motions of some terms identified beside the usual ones."""
+        wanted = [term.motion for term in terms]
+        if self._cycles is None or not set(wanted) <= set(self._cycles.series.names):
+            self._cycles = _loaded(self._lake, self.campaign, wanted)
+        return self._cycles
+
+
+def _loaded(lake: Lake, name: str, wanted: Sequence[str]) -> HeatLoaded:
     measured = session_in(lake, name, lambda *_: None)
     names, settled = _identified(measured, wanted)
     strokes = measured.artefact.strokes_mm
@@ -168,81 +176,3 @@ def _moves(settled: Sequence[Settled]) -> tuple[float, float]:
     ratio = (values - values.mean()) / noise
     power = float(ratio @ ratio)
     return chi2_tail(power, len(values) - 1), power
-
-
-_Fitted = tuple[HeatLoaded, Sequence[HeatTerm], HeatFit]
-
-
-class HeatMember(Member):
-    """One campaign. What a kelvin does is of its own thermocouples, which the fit chooses."""
-
-    def __init__(self, twins: HeatTwins, campaign: str) -> None:
-        self._twins, self.kind = twins, twins.kind
-        lake = Lake(twins.home.lake)
-        self.begun = ((campaign, day_of(lake, campaign)),)
-        self.machine = lake.campaign(campaign).machine
-
-    def named(self, effect: str, axis: str = "") -> Sequence[HeatTerm]:
-        return heat_terms([effect], axis)
-
-    def of_cause(self, cause: Cause) -> Sequence[HeatTerm]:
-        return [term for motion in COEFFICIENTS if self.cause(term := HeatTerm(motion)) == cause]
-
-    def cause(self, term: HeatTerm) -> Cause | None:
-        what = coefficient(term.motion)
-        grows = what.letter == what.axis and what.order == 1
-        return ("thermal_growth", what.axis) if grows else None
-
-    def label(self, term: HeatTerm) -> str:
-        return term.label
-
-    def joined(self, terms: Sequence[HeatTerm], more: Sequence[HeatTerm]) -> Sequence[HeatTerm]:
-        there = {term.motion: term for term in terms}
-        for term in more:
-            old = there.get(term.motion, term)
-            # What any thermocouple may drive is not narrowed.
-            sources = set(old.sources) | set(term.sources) if old.sources else old.sources
-            there[term.motion] = HeatTerm(term.motion, tuple(sorted(sources)))
-        return list(there.values())
-
-    def without(self, terms: Sequence[HeatTerm], gone: Sequence[HeatTerm]) -> Sequence[HeatTerm]:
-        out = {term.motion for term in gone}
-        return [term for term in terms if term.motion not in out]
-
-    def fit(self, terms: Sequence[HeatTerm], *, robust: bool, refine: bool) -> _Fitted:
-        if robust:
-            raise InputError(
-                f"{self.campaigns[0]} has no robust fit",
-                code="twin.robust",
-                hint="dtwin check names cycles that went wrong",
-            )
-        loaded = self._loaded(terms)
-        return loaded, terms, fit_heat(loaded.series, terms)
-
-    def sizes(self, fitted: _Fitted) -> Sizes:
-        return Sizes((), np.zeros(0), np.zeros((0, 0)), np.zeros(0))
-
-    def twin(self, fitted: _Fitted, sizes: Sizes, of: Version) -> HeatTwin:
-        loaded, terms, made = fitted
-        about = {"name": of.name, "action": of.action}
-        return heat_twin_of(made, loaded.series, terms, version=of.version, data=loaded.data, **about)
-
-    def entries(self, twin: HeatTwin) -> list[dict[str, Any]]:
-        ((campaign, day),), figures = self.begun, twin.figures
-        told = {name: figures[name] for name in ("rms_before_um", "systematic_rms_um", "noise_floor_um")}
-        many = int(figures["n_cycles"])
-        about = {"campaign": campaign, "kind": self.kind, "started": day, "runs": many, "readings": many}
-        return [{**about, **told, "residual_rms_um": figures["rms_after_um"]}]
-
-    def compared(self, twin: HeatTwin) -> HeatComparison:
-        return self._twins.against(twin, self.campaigns[0])
-
-    def told(self, twin: HeatTwin, seed: int) -> Told:
-        loaded = self._loaded(twin.terms)
-        fitted = fit_heat(loaded.series, twin.terms)
-        said = diagnose_heat(loaded.series, fitted, loaded.worst_places(loaded.series.values - fitted.expected))
-        groups = tuple((label,) for label in said.additions)
-        return Told(said.as_dict(), groups, groups)
-
-    def _loaded(self, terms: Sequence[HeatTerm]) -> HeatLoaded:
-        return load_heat(self._twins.home, self.campaigns[0], [term.motion for term in terms])

@@ -171,8 +171,8 @@ class _Search:
 
     def _chosen(self, cycles: NDArray[np.int64], names: Sequence[str], rise: Floats) -> ThermalModel:
         if not names:
-            return ThermalModel(self._name, (), np.zeros(0), 0.0, float("nan"))
-        return fit_thermal(self._name, self._motion[cycles], rise[cycles], names, static=True)
+            return ThermalModel(self._name, (), np.zeros(0))
+        return fit_thermal(self._name, self._motion[cycles], rise[cycles], names)
 
 
 def _beside(columns: Mapping[str, Floats], n: int) -> Floats:

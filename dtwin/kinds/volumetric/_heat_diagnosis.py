@@ -55,6 +55,7 @@ class HeatDiagnosis:
     one_body: tuple[str, ...] = ()
     where: tuple[dict[str, Any], ...] = ()
     next_experiment: dict[str, Any] | None = None
+    idle: tuple[HeatTerm, ...] = ()
 
     @property
     def additions(self) -> tuple[str, ...]:

@@ -211,7 +211,7 @@ def _bodies(series: HeatSeries, motion: Floats, column: int) -> tuple[str, ...]:
     alone = []
     for body, sensors in series.bodies.items():
         rise = series.rises(sensors)
-        model = fit_thermal(series.names[column], motion, rise, sensors, static=True)
+        model = fit_thermal(series.names[column], motion, rise, sensors)
         left = motion - model.run(series.rises(model.sensors))
         if still_p(series, left, column) > ALPHA:
             alone.append(body)

@@ -91,18 +91,18 @@ def serving_bundle(
 
 
 def _nothing(name: str, motion: Floats, rise_c: Floats, sensors: Sequence[str]) -> ThermalModel:
-    return ThermalModel(name, (), np.zeros(0), 0.0, 0.0)
+    return ThermalModel(name, (), np.zeros(0))
 
 
 def _every(name: str, motion: Floats, rise_c: Floats, sensors: Sequence[str]) -> ThermalModel:
     per_k = np.linalg.lstsq(rise_c, motion, rcond=None)[0]
-    return ThermalModel(name, tuple(sensors), np.asarray(per_k, float), 0.0, 0.0)
+    return ThermalModel(name, tuple(sensors), np.asarray(per_k, float))
 
 
 _FITS: Mapping[str, _Fit] = {
     "zero": _nothing,
-    "one temperature": partial(fit_thermal, most=1, static=True),
-    "few temperatures": partial(fit_thermal, static=True),
+    "one temperature": partial(fit_thermal, most=1),
+    "few temperatures": fit_thermal,
     "all temperatures": _every,
 }
 _Family = Literal["baseline", "linear", "symbolic"]
@@ -232,20 +232,19 @@ def _volumetric_bundle(
 ) -> Bundle:
     """Return the error of the tool point from what thermocouples and scales read.
 
-    ``models``: one for each error motion, without memory: the previous cycle is not there in serving.
+    ``models``: one for each error motion.
     ``strokes_mm``: ends of the strokes, the validity box of the positions.
     ``begun_c``: what each thermocouple read in the reference: the correction is zero there.
     ``seen_c``: what each read in training; 2 degC more are allowed.
     ``switched_off``: error motions that are worse than none.
     """
-    remembering = [model.name for model in models if model.memory]
     kept = [model for model in models if model.name not in switched_off]
-    if remembering or not kept:
+    if not kept:
         raise InputError(
             "these models cannot be served",
             code="volumetric.bundle",
-            got=", ".join(remembering)[:120] or "all are switched off",
-            allowed="models without memory, at least one of them better than none",
+            got="all are switched off",
+            allowed="at least one of them better than none",
         )
     builder = GraphBuilder()
     position = {axis: builder.input(f"{axis}_mm") for axis in "xyz"}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from dtwin.kinds.volumetric._heat_series import FEWEST_CYCLES, HeatSeries
 from dtwin.kinds.volumetric._thermal_model import ThermalModel, independent
 from dtwin.kinds.volumetric.motions import HeatTerm, motion_words
 from dtwin.schema import Floats
+from dtwin.twins.term_twins import TermTwin
 
 FORMAT = "dtwin-heat-twin-1"
 KIND = "volumetric"
@@ -41,41 +43,23 @@ class HeatFit:
         return tuple(found.model for found in self.drivers)
 
 
-@dataclass(frozen=True)
-class HeatTwin:
-    """A fitted twin.
+class HeatTwin(TermTwin[HeatTerm]):
+    """A fitted twin."""
 
-    Attributes:
-        version: From 1.
-        machine, campaign, action: What it is of, what it was fitted to, and what was done to it.
-        uncertainties: Expanded (k = 2) uncertainty of what a kelvin does, for each model.
-        seen_c: Least and largest reading of every temperature that it uses.
-        figures: Errors before and after, and the noise floor, in um.
-        by_condition: The same for every day.
-    """
-
-    name: str
-    version: int
-    machine: str
-    campaign: str
-    action: str
-    terms: tuple[HeatTerm, ...]
-    models: tuple[ThermalModel, ...]
-    uncertainties: tuple[tuple[float, ...], ...]
-    seen_c: Mapping[str, tuple[float, float]]
-    figures: Mapping[str, float]
-    by_condition: tuple[Mapping[str, Any], ...]
-    data: Mapping[str, Any]
-
-    @property
-    def campaigns(self) -> tuple[str, ...]:
-        """Campaigns that it was fitted to."""
-        return (self.campaign,)
-
-    @property
-    def labels(self) -> tuple[str, ...]:
-        """Terms as a user writes them."""
-        return tuple(term.label for term in self.terms)
+    @cached_property
+    def models(self) -> tuple[ThermalModel, ...]:
+        """What drives each term."""
+        driven: dict[str, list[Mapping[str, Any]]] = {term.motion: [] for term in self.terms}
+        for parameter in self.document["parameters"]:
+            driven[parameter["effect"]].append(parameter)
+        return tuple(
+            ThermalModel(
+                motion,
+                tuple(parameter["name"] for parameter in own),
+                np.array([parameter["value"] for parameter in own], dtype=float),
+            )
+            for motion, own in driven.items()
+        )
 
     def expected(self, series: HeatSeries) -> Floats:
         """Return what the twin says of every motion of a campaign, shape (n, m).
@@ -87,87 +71,17 @@ class HeatTwin:
     def outside(self, series: HeatSeries) -> list[str]:
         """Return the temperatures that leave what the fit saw, and by how many kelvin."""
         found = []
-        for name, (low, high) in self.seen_c.items():
+        for name, (low, high) in self.document["seen_c"].items():
             read = series.rise_c[name] + series.begun_c[name]
             beyond = max(low - float(read.min()), float(read.max()) - high)
             if beyond > _BEYOND_C:
                 found.append(f"{name} by {beyond:z.1f} K")
         return found
 
-    def as_dict(self) -> dict[str, Any]:
-        """Return a JSON-ready mapping, from which :func:`heat_twin_from` makes it again."""
-        return {
-            "format": FORMAT,
-            "kind": KIND,
-            "twin": self.name,
-            "version": self.version,
-            "machine": self.machine,
-            "campaign": self.campaign,
-            "action": self.action,
-            "effects": [
-                {
-                    "effect": term.motion,
-                    "axis": term.axis,
-                    "label": term.label,
-                    "title": motion_words(term.motion),
-                    "sources": list(term.sources),
-                    "temperatures": list(model.sensors),
-                }
-                for term, model in zip(self.terms, self.models, strict=True)
-            ],
-            "parameters": [
-                {
-                    "effect": term.motion,
-                    "axis": term.axis,
-                    "name": sensor,
-                    "value": float(value),
-                    "uncertainty": spread,
-                    "unit": f"{coefficient(term.motion).unit}/K",
-                }
-                for term, model, spreads in zip(self.terms, self.models, self.uncertainties, strict=True)
-                for sensor, value, spread in zip(model.sensors, model.per_k, spreads, strict=True)
-            ],
-            "seen_c": {name: list(reach) for name, reach in self.seen_c.items()},
-            "figures": dict(self.figures),
-            "by_condition": [dict(c) for c in self.by_condition],
-            "data": dict(self.data),
-            "replication": "cycle",
-        }
-
 
 def heat_twin_from(document: Mapping[str, Any]) -> HeatTwin:
-    """Return a twin from its stored form.
-
-    Raises ``KeyError``, ``TypeError``, ``ValueError`` or ``InputError`` when it is not one.
-    """
-    terms = tuple(HeatTerm(e["effect"], tuple(e["sources"])) for e in document["effects"])
-    rows: dict[str, list[Mapping[str, Any]]] = {term.motion: [] for term in terms}
-    for row in document["parameters"]:
-        rows[row["effect"]].append(row)
-    models = tuple(
-        ThermalModel(
-            term.motion,
-            tuple(row["name"] for row in rows[term.motion]),
-            np.array([row["value"] for row in rows[term.motion]], dtype=float),
-            0.0,
-            0.0,
-        )
-        for term in terms
-    )
-    return HeatTwin(
-        document["twin"],
-        int(document["version"]),
-        document["machine"],
-        document["campaign"],
-        document["action"],
-        terms,
-        models,
-        tuple(tuple(row["uncertainty"] for row in rows[term.motion]) for term in terms),
-        {name: (float(low), float(high)) for name, (low, high) in document["seen_c"].items()},
-        document["figures"],
-        tuple(document["by_condition"]),
-        document["data"],
-    )
+    """Return a twin from its stored form. Raises ``KeyError``, ``TypeError`` or ``ValueError`` when it is not one."""
+    return HeatTwin.of(document, tuple(HeatTerm(e["effect"], tuple(e["sources"])) for e in document["effects"]))
 
 
 def fit_heat(series: HeatSeries, terms: Sequence[HeatTerm]) -> HeatFit:
@@ -190,36 +104,46 @@ def fit_heat(series: HeatSeries, terms: Sequence[HeatTerm]) -> HeatFit:
     return HeatFit(tuple(drivers), _expected(series, [found.model for found in drivers]))
 
 
-def heat_twin_of(
-    fitted: HeatFit,
-    series: HeatSeries,
-    terms: Sequence[HeatTerm],
-    *,
-    name: str,
-    version: int,
-    action: str,
-    data: Mapping[str, Any],
-) -> HeatTwin:
-    """Return the twin that a fit makes. ``name``, ``version``, ``action``, ``data``: as of :class:`HeatTwin`."""
+def heat_told(series: HeatSeries, terms: Sequence[HeatTerm]) -> dict[str, Any]:
+    """Fit terms to a campaign, and return what is stored of that.
+
+    ``uncertainty``: expanded (k = 2), of what a kelvin does. ``seen_c``: least and largest reading of every temperature that is used.
+    """
+    fitted = fit_heat(series, terms)
     left, left_out = series.values - fitted.expected, series.values.copy()
     for term, found in zip(terms, fitted.drivers, strict=True):
         left_out[:, series.names.index(term.motion)] -= found.expected
     used = sorted({sensor for model in fitted.models for sensor in model.sensors})
     readings = {sensor: series.rise_c[sensor] + series.begun_c[sensor] for sensor in used}
-    return HeatTwin(
-        name,
-        version,
-        series.machine,
-        series.campaign,
-        action,
-        tuple(terms),
-        fitted.models,
-        tuple(_uncertainty(series, model) for model in fitted.models),
-        {sensor: (float(read.min()), float(read.max())) for sensor, read in readings.items()},
-        heat_figures(series, left) | {"held_out_rms_um": series.rms_um(left_out)},
-        by_day(series, left),
-        data,
-    )
+    return {
+        "effects": [
+            {
+                "effect": term.motion,
+                "axis": term.axis,
+                "label": term.label,
+                "title": motion_words(term.motion),
+                "sources": list(term.sources),
+                "temperatures": list(model.sensors),
+            }
+            for term, model in zip(terms, fitted.models, strict=True)
+        ],
+        "parameters": [
+            {
+                "effect": term.motion,
+                "axis": term.axis,
+                "name": sensor,
+                "value": float(value),
+                "uncertainty": spread,
+                "unit": f"{coefficient(term.motion).unit}/K",
+            }
+            for term, model in zip(terms, fitted.models, strict=True)
+            for sensor, value, spread in zip(model.sensors, model.per_k, _uncertainty(series, model), strict=True)
+        ],
+        "seen_c": {sensor: [float(read.min()), float(read.max())] for sensor, read in readings.items()},
+        "figures": heat_figures(series, left) | {"held_out_rms_um": series.rms_um(left_out)},
+        "by_condition": list(by_day(series, left)),
+        "replication": "cycle",
+    }
 
 
 def heat_figures(series: HeatSeries, left: Floats) -> dict[str, float]:

@@ -9,10 +9,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from dtwin.config import Home
-from dtwin.documents import unknown_form
-from dtwin.errors import InputError
-from dtwin.kinds.volumetric._data import HeatLoaded, HeatMember, load_heat
+import numpy as np
+
+from dtwin.kinds.volumetric._chain import COEFFICIENTS, coefficient
+from dtwin.kinds.volumetric._data import HeatCampaign
 from dtwin.kinds.volumetric._heat_diagnosis import HeatDiagnosis, diagnose_heat
 from dtwin.kinds.volumetric._heat_series import HeatSeries
 from dtwin.kinds.volumetric.heat_twin import (
@@ -22,12 +22,15 @@ from dtwin.kinds.volumetric.heat_twin import (
     by_day,
     fit_heat,
     heat_figures,
+    heat_told,
     heat_twin_from,
-    heat_twin_of,
 )
 from dtwin.kinds.volumetric.motions import HeatTerm, heat_terms
-from dtwin.schema import Floats, require_name
-from dtwin.twins.shelf import TwinShelf, effect_absent, effect_there, logged_together, require_same_machine
+from dtwin.physics.agreed import Sizes
+from dtwin.schema import Floats
+from dtwin.twins.members import Cause
+from dtwin.twins.shelf import effect_there, logged_together, require_same_machine
+from dtwin.twins.term_twins import TermTwins
 
 _MOST_RUNGS = 30
 
@@ -79,44 +82,81 @@ class HeatComparison:
         ]
 
 
-class HeatTwins(TwinShelf):
+class HeatTwins(TermTwins[HeatTerm, HeatCampaign, HeatTwin, HeatDiagnosis]):
     """The twins of a home that are of ball arrays.
 
     Verbs, and what they refuse and return, are those of :class:`dtwin.twins.verbs.Twins`.
     """
 
-    def __init__(self, home: Home, _library: object = None) -> None:
-        super().__init__(home, KIND)
+    named, form = KIND, FORMAT
+    no_robust = "leave out --robust; dtwin check names cycles that went wrong"
 
-    def fit(self, campaign: str, effects: Sequence[str], name: str, *, robust: bool = False) -> HeatTwin:
-        """Fit a twin to a campaign; an existing twin of that name gets a new version.
+    def loaded(self, campaign: str) -> HeatCampaign:
+        """Return a campaign; its error motions are identified when its terms are known."""
+        return HeatCampaign(self.home, campaign)
 
-        ``effects``: error motions or families, as :func:`dtwin.kinds.volumetric.motions.heat_terms` takes them.
-        Raises ``InputError`` when something is not known, or a robust fit is asked for.
-        """
-        require_name(name, "the twin")
-        if robust:
-            raise InputError(
-                "a twin of heat has no robust fit",
-                code="twin.robust",
-                where=f"twin {name}",
-                hint="leave out --robust; dtwin check names cycles that went wrong",
-            )
-        terms = heat_terms(effects)
-        loaded = load_heat(self.home, campaign, [term.motion for term in terms])
-        return self._store(name, loaded, terms, "fit")
+    def asked(self, loaded: HeatCampaign, effects: Sequence[str], axis: str) -> Sequence[HeatTerm]:
+        """Return error motions or families, as :func:`dtwin.kinds.volumetric.motions.heat_terms` takes them."""
+        return heat_terms(effects, axis)
 
-    def compare(self, name: str, campaign: str | None = None) -> HeatComparison:
-        """Compare a twin with measurements, those of its fit without a campaign.
+    def label(self, term: HeatTerm) -> str:
+        """Return a term as a user writes it."""
+        return term.label
+
+    def joined(self, loaded: HeatCampaign, terms: Sequence[HeatTerm], more: Sequence[HeatTerm]) -> Sequence[HeatTerm]:
+        """Return terms with others; a motion that is there gets their temperatures, too."""
+        there = {term.motion: term for term in terms}
+        for term in more:
+            old = there.get(term.motion, term)
+            # What any thermocouple may drive is not narrowed.
+            sources = set(old.sources) | set(term.sources) if old.sources else old.sources
+            there[term.motion] = HeatTerm(term.motion, tuple(sorted(sources)))
+        return list(there.values())
+
+    def without(self, terms: Sequence[HeatTerm], gone: Sequence[HeatTerm]) -> Sequence[HeatTerm]:
+        """Return terms without the motions of others, whatever drives them."""
+        out = {term.motion for term in gone}
+        return [term for term in terms if term.motion not in out]
+
+    def possible(self, loaded: HeatCampaign) -> Sequence[HeatTerm]:
+        """Return the usual error motions."""
+        return [HeatTerm(motion) for motion in COEFFICIENTS]
+
+    def cause(self, loaded: HeatCampaign, term: HeatTerm) -> Cause | None:
+        """Return the growth of an axis; other motions are of the campaign."""
+        what = coefficient(term.motion)
+        grows = what.letter == what.axis and what.order == 1
+        return ("thermal_growth", what.axis) if grows else None
+
+    def sizes(self, loaded: HeatCampaign, terms: Sequence[HeatTerm]) -> Sizes:
+        """Return none: what a kelvin does is of a campaign's own thermocouples, which the fit chooses."""
+        return Sizes((), np.zeros(0), np.zeros((0, 0)), np.zeros(0))
+
+    def told(self, loaded: HeatCampaign, terms: Sequence[HeatTerm], sizes: Sizes) -> Mapping[str, Any]:
+        """Fit terms, and return what is stored of that."""
+        cycles = loaded.cycles(terms)
+        return {**heat_told(cycles.series, terms), "data": cycles.data}
+
+    def stored(self, document: Mapping[str, Any]) -> HeatTwin:
+        """Return the twin of a document."""
+        return heat_twin_from(document)
+
+    def diagnosed(self, loaded: HeatCampaign, terms: Sequence[HeatTerm]) -> HeatDiagnosis:
+        """Return what a twin of these terms lacks."""
+        cycles = loaded.cycles(terms)
+        fitted = fit_heat(cycles.series, terms)
+        return diagnose_heat(cycles.series, fitted, cycles.worst_places(cycles.series.values - fitted.expected))
+
+    def groups(self, said: HeatDiagnosis) -> tuple[tuple[str, ...], ...]:
+        """Return every addition by itself: motions beside it are missing, too, not instead of it."""
+        return tuple((label,) for label in said.additions)
+
+    def against(self, twin: HeatTwin, campaign: str) -> HeatComparison:
+        """Compare a version of a twin with measurements.
 
         Raises ``InputError`` when the campaign is of another machine, or lacks a temperature of the twin.
         """
-        twin = self.newest(name)
-        return self.against(twin, campaign or twin.campaign)
-
-    def against(self, twin: HeatTwin, campaign: str) -> HeatComparison:
-        """Compare a version of a twin with measurements."""
-        loaded = self._loaded(twin, campaign)
+        loaded = HeatCampaign(self.home, campaign).cycles(twin.terms)
         series = loaded.series
         require_same_machine(twin.name, twin.machine, series.campaign, series.machine)
         left = series.values - twin.expected(series)
@@ -125,91 +165,37 @@ class HeatTwins(TwinShelf):
         warnings = (f"beyond what the fit saw: {shown}",) if outside else ()
         return HeatComparison(twin, series, left, loaded.worst_places(left), warnings)
 
-    def members(self, campaigns: Sequence[str]) -> Sequence[HeatMember]:
-        """Return campaigns of the lake as parts of a twin of several kinds, each by itself."""
-        return [HeatMember(self, campaign) for campaign in campaigns]
-
-    def stored(self, document: Mapping[str, Any]) -> HeatTwin:
-        """Return the twin of a document."""
-        return heat_twin_from(document)
-
-    def diagnose(self, name: str, *, seed: int = 0) -> tuple[HeatTwin, HeatDiagnosis]:
-        """Find out what a twin lacks; nothing here is random."""
-        twin, loaded = self.newest(name), self._loaded(self.newest(name))
-        require_same_machine(name, twin.machine, loaded.series.campaign, loaded.series.machine)
-        return twin, self._diagnosed(twin, loaded)
-
     def add(self, name: str, effect: str, axis: str = "") -> HeatTwin:
         """Add an error motion or a family, refit, and store the new version.
 
         A motion that the twin has may be driven by more temperatures than before: ``EX0@foundation_c``.
         """
         twin = self.newest(name)
-        terms = _joined(twin, heat_terms([effect], axis))
-        loaded = load_heat(self.home, twin.campaign, [term.motion for term in terms])
-        return self._store(name, loaded, terms, _added(twin, terms), twin.version)
+        return self._added(twin, self.loaded(twin.campaign), heat_terms([effect], axis))
 
-    def remove(self, name: str, effect: str, axis: str = "") -> HeatTwin:
-        """Take an error motion or a family out, whatever drives it, refit, and store the new version."""
-        twin = self.newest(name)
-        gone = {term.motion for term in heat_terms([effect], axis)}
-        kept = tuple(term for term in twin.terms if term.motion not in gone)
-        if len(kept) == len(twin.terms):
-            raise effect_absent(twin, effect)
-        return self._store(name, self._loaded(twin), kept, f"remove {effect}", twin.version)
-
-    def restore(self, name: str, version: int) -> HeatTwin:
-        """Refit with the effects of an older version, and store that as a new one."""
-        old = self.newest(name, version)
-        return self._store(name, self._loaded(old), old.terms, f"restore v{version}")
+    def _added(self, twin: HeatTwin, loaded: HeatCampaign, more: Sequence[HeatTerm]) -> HeatTwin:
+        terms = _joined(twin, more)
+        action = "add " + ", ".join(term.label for term in terms if term not in twin.terms)
+        return self._store(twin.name, loaded, terms, action, twin.version)
 
     @logged_together
     def discover(self, name: str, *, seed: int = 0) -> tuple[list[HeatTwin], list[tuple[str, ...]], HeatDiagnosis]:
         """Diagnose and add until nothing is missing, or nothing that was logged would help; nothing here is random."""
         twin = self.newest(name)
-        loaded = self._loaded(twin)
+        loaded = self.loaded(twin.campaign)
         made: list[HeatTwin] = []
         groups: list[tuple[str, ...]] = []
         said = self._diagnosed(twin, loaded)
         while said.additions and len(made) < _MOST_RUNGS:
-            terms = _joined(twin, heat_terms(said.additions[:1]))
-            twin = self._store(name, loaded, terms, _added(twin, terms), twin.version)
+            twin = self._added(twin, loaded, heat_terms(said.additions[:1]))
             made.append(twin)
-            # Motions beside it are missing, too, not instead of it: each is added in its turn.
             groups.append(said.additions[:1])
             said = self._diagnosed(twin, loaded)
         return made, groups, said
 
-    def newest(self, name: str, version: int | None = None) -> HeatTwin:
-        """Return a version of a twin, the newest one without a number."""
-        document, path = self.newest_document(name, version)
-        try:
-            if document["format"] != FORMAT:
-                raise ValueError(f"format {document['format']}")
-            return heat_twin_from(document)
-        except (KeyError, TypeError, ValueError, InputError) as error:
-            raise unknown_form("a twin of heat", str(path), FORMAT, error) from error
-
-    def _loaded(self, twin: HeatTwin, campaign: str | None = None) -> HeatLoaded:
-        return load_heat(self.home, campaign or twin.campaign, [term.motion for term in twin.terms])
-
-    def _diagnosed(self, twin: HeatTwin, loaded: HeatLoaded) -> HeatDiagnosis:
-        series = loaded.series
-        fitted = fit_heat(series, twin.terms)
-        places = loaded.worst_places(series.values - fitted.expected)
-        diagnosis = diagnose_heat(series, fitted, places)
-        named = {"twin": twin.name, "version": twin.version, "campaign": twin.campaign}
-        self.store_diagnosis({**named, **diagnosis.as_dict()})
-        return diagnosis
-
-    def _store(
-        self, name: str, loaded: HeatLoaded, terms: Sequence[HeatTerm], action: str, base: int | None = None
-    ) -> HeatTwin:
-        version = self.next_version(name, loaded.series.machine, base)
-        fitted = fit_heat(loaded.series, terms)
-        twin = heat_twin_of(fitted, loaded.series, terms, name=name, version=version, action=action, data=loaded.data)
-        self.store(twin.as_dict())
-        return twin
+    def counted(self, loaded: HeatCampaign, twin: HeatTwin) -> tuple[int, int]:
+        """Return the number of cycles twice: each is a run, and a reading."""
+        return (int(twin.figures["n_cycles"]),) * 2
 
 
 def _joined(twin: HeatTwin, more: Sequence[HeatTerm]) -> tuple[HeatTerm, ...]:
@@ -230,7 +216,3 @@ def _widened(old: HeatTerm | None, twin: HeatTwin, new: HeatTerm) -> HeatTerm:
         return old
     known = old.sources or twin.models[twin.terms.index(old)].sensors
     return HeatTerm(new.motion, tuple(sorted({*known, *new.sources})))
-
-
-def _added(twin: HeatTwin, terms: Sequence[HeatTerm]) -> str:
-    return "add " + ", ".join(term.label for term in terms if term not in twin.terms)

@@ -16,7 +16,7 @@ from dtwin.kinds.volumetric._chain import COEFFICIENTS, design
 from dtwin.kinds.volumetric._heat_diagnosis import HeatDiagnosis, diagnose_heat
 from dtwin.kinds.volumetric._heat_series import HeatSeries
 from dtwin.kinds.volumetric._identify import Artefact, Balls
-from dtwin.kinds.volumetric.heat_twin import fit_heat, heat_figures, heat_twin_from, heat_twin_of
+from dtwin.kinds.volumetric.heat_twin import fit_heat, heat_figures, heat_told, heat_twin_from
 from dtwin.kinds.volumetric.heat_twins import HeatTwins
 from dtwin.kinds.volumetric.motions import FAMILIES, family_of, heat_terms
 from dtwin.kinds.volumetric.twin_report import diagnosis_text
@@ -204,24 +204,23 @@ def test_a_motion_that_lasts_is_not_given_a_cause_by_chance() -> None:
 def test_hours_left_out_cost_more_than_hours_fitted_and_days_add_up() -> None:
     made = series({"EXX1": BED + 0.5 * NOBODY, "EX0": RAM})
     terms = heat_terms(["EXX1", "EX0"])
-    fitted = fit_heat(made, terms)
-    twin = heat_twin_of(fitted, made, terms, name="t", version=1, action="fit", data={})
-    figures = twin.figures
+    told = heat_told(made, terms)
+    figures = told["figures"]
     assert figures["held_out_rms_um"] > figures["rms_after_um"] > figures["noise_floor_um"]
-    total = sum(d["cycles"] * d["rms_after_um"] ** 2 for d in twin.by_condition)
+    total = sum(d["cycles"] * d["rms_after_um"] ** 2 for d in told["by_condition"])
     assert np.sqrt(total / 120) == pytest.approx(figures["rms_after_um"])
-    again = heat_twin_from(json.loads(json.dumps(twin.as_dict())))
-    assert np.array_equal(again.expected(made), twin.expected(made))
-    assert again.as_dict() == twin.as_dict()
+    head = {"twin": "t", "version": 1, "machine": "m", "campaign": "c", "action": "fit"}
+    again = heat_twin_from(json.loads(json.dumps({**head, **told})))
+    assert np.array_equal(again.expected(made), fit_heat(made, terms).expected)
+    assert again.terms == terms
+    assert not again.outside(made)
 
 
 def test_the_uncertainty_counts_the_cycles_that_are_independent() -> None:
     def spread(extra: np.ndarray) -> float:
         made = series({"EXX1": BED + extra})
-        terms = heat_terms(["EXX1@bed_01_c"])
-        fitted = fit_heat(made, terms)
-        (only,) = heat_twin_of(fitted, made, terms, name="t", version=1, action="fit", data={}).uncertainties
-        return only[0]
+        (only,) = heat_told(made, heat_terms(["EXX1@bed_01_c"]))["parameters"]
+        return float(only["uncertainty"])
 
     white = np.random.default_rng(7).normal(0.0, NOBODY.std(), 120)
     assert spread(NOBODY) > 1.5 * spread(white)
@@ -306,10 +305,14 @@ def test_motions_that_are_missing_together_are_findings_of_their_own(
     made = series({"EXX1": 2.0 * BED, "EZX2": 3.0 * RAM})
     shelf = HeatTwins(Home(tmp_path))
     monkeypatch.setattr(
-        HeatTwins, "_store", lambda self, name, loaded, terms, action, base: SimpleNamespace(terms=terms, version=2)
+        HeatTwins,
+        "_store",
+        lambda self, name, loaded, terms, action, base: SimpleNamespace(name="t", terms=terms, version=2),
     )
-    monkeypatch.setattr(HeatTwins, "newest", lambda self, name: SimpleNamespace(terms=(), version=1))
-    monkeypatch.setattr(HeatTwins, "_loaded", lambda self, twin: made)
+    monkeypatch.setattr(
+        HeatTwins, "newest", lambda self, name: SimpleNamespace(name="t", terms=(), version=1, campaign="c")
+    )
+    monkeypatch.setattr(HeatTwins, "loaded", lambda self, campaign: made)
     monkeypatch.setattr(
         HeatTwins, "_diagnosed", lambda self, twin, loaded: diagnose_heat(loaded, fit_heat(loaded, twin.terms), ())
     )

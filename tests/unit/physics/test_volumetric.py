@@ -8,10 +8,11 @@ import pytest
 from dtwin.errors import InputError
 from dtwin.kinds.volumetric._chain import COEFFICIENTS, coefficient, design, identifiability
 from dtwin.kinds.volumetric._identify import Artefact, Balls
-from dtwin.kinds.volumetric._thermal_model import ThermalModel, fit_thermal, inflation
+from dtwin.kinds.volumetric._thermal_model import fit_thermal, inflation
 from dtwin.kinds.volumetric._training import _volumetric_bundle
 from dtwin.serve.runtime import CompiledBundle
 from studies.heat import interval_curve, reduction_pct, slot_errors_um, slot_places_mm, slot_ranges_um, worse_steps
+from studies.thermal_memory import fit_remembering
 from studies.volumetric_paper import PRINTED
 
 STROKES = {"x": (30.0, 1460.0), "y": (50.0, 1200.0), "z": (460.0, 1490.0)}
@@ -120,10 +121,9 @@ def test_the_temperatures_that_act_are_chosen_and_the_others_not() -> None:
     motion = 3.0 * rise[:, 4] - 2.0 * rise[:, 7] + noise
     names = [f"s{k}" for k in range(12)]
     model = fit_thermal("EXX1", motion, rise, names)
-    assert (set(model.sensors), model.memory) == ({"s4", "s7"}, 0.0)
+    assert set(model.sensors) == {"s4", "s7"}
     per_k = dict(zip(model.sensors, model.per_k, strict=True))
     assert (per_k["s4"], per_k["s7"]) == (pytest.approx(3.0, abs=0.02), pytest.approx(-2.0, abs=0.02))
-    assert len(model.tried) == 20
 
 
 def test_a_slow_body_is_given_a_memory_and_runs_free() -> None:
@@ -132,11 +132,10 @@ def test_a_slow_body_is_given_a_memory_and_runs_free() -> None:
     motion = np.zeros(300)
     for i in range(1, 300):
         motion[i] = 0.9 * motion[i - 1] + 0.5 * rise[i, 2]
-    model = fit_thermal("EZ0", motion, rise, [f"s{k}" for k in range(6)])
+    model = fit_remembering("EZ0", motion, rise, [f"s{k}" for k in range(6)])
     assert model.sensors == ("s2",)
     assert model.memory == pytest.approx(0.9, abs=1e-6)
     assert np.abs(model.run(rise[:, [2]]) - motion).max() < 1e-6
-    assert fit_thermal("EZ0", motion, rise, [f"s{k}" for k in range(6)], static=True).memory == 0.0
 
 
 def test_alike_sensors_are_reported() -> None:
@@ -178,7 +177,7 @@ def test_the_printed_reductions_follow_from_the_printed_pairs() -> None:
 def test_the_served_equation_is_the_model() -> None:
     rise = np.column_stack([slow(120, k) for k in range(3)])
     names = ["bed_c", "ram_c", "table_c"]
-    models = [fit_thermal(name, rise @ RNG.normal(0, 3, 3), rise, names, static=True) for name in COEFFICIENTS]
+    models = [fit_thermal(name, rise @ RNG.normal(0, 3, 3), rise, names) for name in COEFFICIENTS]
     begun, seen = dict.fromkeys(names, 22.0), dict.fromkeys(names, (15.0, 30.0))
     bundle = _volumetric_bundle(models, STROKES, begun, seen, "heat", "mill", switched_off=("EXX2",))
     compiled = CompiledBundle(bundle)
@@ -191,6 +190,5 @@ def test_the_served_equation_is_the_model() -> None:
         inputs = given | {f"{axis}_mm": float(v) for axis, v in zip("xyz", place, strict=True)}
         got = compiled.tick(np.array([inputs[i.name] for i in bundle.inputs]))
         assert np.abs(np.asarray(got)[:3] - row).max() < 1e-9
-    remembering = [ThermalModel("EZ0", ("bed_c",), np.ones(1), 0.5, 0.0)]
     with pytest.raises(InputError):
-        _volumetric_bundle(remembering, STROKES, begun, seen, "heat", "mill")
+        _volumetric_bundle(models, STROKES, begun, seen, "heat", "mill", switched_off=COEFFICIENTS)
