@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from dtwin.acquire.foreign_columns import Column
     from dtwin.config import Home
     from dtwin.kinds.machine import VirtualMachine
-    from dtwin.kinds.volumetric.heat_twins import HeatTwins
     from dtwin.lake.store import Lake
     from dtwin.lifecycle.export import Export
     from dtwin.physics.effect import Effect
@@ -36,7 +35,7 @@ if TYPE_CHECKING:
     from dtwin.train.results import Training
     from dtwin.train.twin_axes import AxisErrors
     from dtwin.twins.correct import CorrectionWay
-    from dtwin.twins.verbs import Twins
+    from dtwin.twins.of_kind import AnyTwins
 
 
 class NotOffered(InputError):
@@ -295,7 +294,7 @@ class Kind:
         """Figures of one run, in the order of its page."""
         return self._done("drawings")
 
-    def twins(self, home: Home, library: Mapping[str, Effect] | None) -> Twins | HeatTwins:
+    def twins(self, home: Home, library: Mapping[str, Effect] | None) -> AnyTwins:
         """Return the twins of a home that are of such campaigns, with a library of effects."""
         return self._done("twins")(home, library)
 

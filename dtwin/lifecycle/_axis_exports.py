@@ -10,8 +10,7 @@ import numpy as np
 
 from dtwin.errors import InputError
 from dtwin.lifecycle import _beckhoff, _fanuc, _haas, _heidenhain, _siemens
-from dtwin.lifecycle._export_records import Export, Request, Source, whose
-from dtwin.lifecycle.axis_tables import (
+from dtwin.lifecycle._axis_tables import (
     LINUXCNC,
     MOST_TRIPLETS,
     NOT_LOADED,
@@ -23,6 +22,7 @@ from dtwin.lifecycle.axis_tables import (
     tabulated,
     with_across,
 )
+from dtwin.lifecycle._export_records import Export, Request, Source, whose
 from dtwin.physics.twin import Twin
 from dtwin.train.twin_axes import AXES, AxisErrors, own_axis_only
 

@@ -14,7 +14,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from dtwin.errors import InputError
-from dtwin.lifecycle.axis_tables import BY_MEMORY, AxisForm, AxisTable, require_apart
+from dtwin.lifecycle._axis_tables import BY_MEMORY, AxisForm, AxisTable, require_apart
 from dtwin.schema import Floats
 from dtwin.units import UM_PER_MM
 

@@ -15,7 +15,7 @@ from functools import partial
 import numpy as np
 
 from dtwin.errors import InputError
-from dtwin.lifecycle.axis_tables import BY_MEMORY, AxisForm, AxisTable, lost_motion_notes, lost_motion_um
+from dtwin.lifecycle._axis_tables import BY_MEMORY, AxisForm, AxisTable, lost_motion_notes, lost_motion_um
 from dtwin.schema import Floats
 from dtwin.units import UM_PER_MM, shown_number
 

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from dtwin.errors import InputError
-from dtwin.lifecycle.axis_tables import BY_MEMORY, AxisForm, AxisTable, lost_motion_notes
+from dtwin.lifecycle._axis_tables import BY_MEMORY, AxisForm, AxisTable, lost_motion_notes
 from dtwin.schema import Floats
 from dtwin.units import UM_PER_MM
 

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from dtwin.errors import InputError
-from dtwin.lifecycle.axis_tables import BY_MEMORY, AxisForm, AxisTable, require_apart
+from dtwin.lifecycle._axis_tables import BY_MEMORY, AxisForm, AxisTable, require_apart
 from dtwin.units import UM_PER_MM, shown_number
 
 # Of the TNC 407 to 425: neighbouring values differ by no more than their distance over this.

@@ -11,7 +11,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from dtwin.lifecycle.axis_tables import BY_MEMORY, AxisForm, AxisTable, lost_motion_notes, lost_motion_um, require_apart
+from dtwin.lifecycle._axis_tables import (
+    BY_MEMORY,
+    AxisForm,
+    AxisTable,
+    lost_motion_notes,
+    lost_motion_um,
+    require_apart,
+)
 from dtwin.schema import Floats
 from dtwin.units import UM_PER_MM
 

@@ -14,10 +14,10 @@ from dtwin.kinds.registry import kind_named, own_kinds
 from dtwin.kinds.registry import kind_of as kind_of_bundle
 from dtwin.lake.store import Lake
 from dtwin.lifecycle._axis_exports import ONE_AXIS, positioning_table, tables_of
+from dtwin.lifecycle._axis_tables import NOT_LOADED
 from dtwin.lifecycle._export_records import UNREGISTERED, Export, Request, Source, c_header, commented, said_of, whose
+from dtwin.lifecycle._gcode_compensation import compensate
 from dtwin.lifecycle._skew_settings import HELD, klipper_settings, reprap_settings, skews
-from dtwin.lifecycle.axis_tables import NOT_LOADED
-from dtwin.lifecycle.gcode_compensation import compensate
 from dtwin.lifecycle.gcode_program import marked, program_of, require_unmarked
 from dtwin.physics.effect import Effect
 from dtwin.physics.twin import Twin

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from dtwin.errors import InputError
-from dtwin.lifecycle.gcode_compensation import Followed, outside
+from dtwin.lifecycle._gcode_compensation import Followed, outside
 from dtwin.lifecycle.gcode_program import Move, read_program
 from dtwin.physics.machine_terms import own_term
 from dtwin.physics.problem import Term

@@ -7,14 +7,11 @@ import platform
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.metadata import PackageNotFoundError, version
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 from dtwin import __version__
 from dtwin.statistics import deviation_interval
 from dtwin.units import shown_number
-
-if TYPE_CHECKING:
-    from dtwin.kinds.circular.physics_fit import PhysicsFit
 
 CONDITIONS_FILE = "conditions.json"
 """Artifact of a version: the conditions that it was trained on."""
@@ -211,7 +208,6 @@ class Training:
     report: TrainingReport
     geometry: Mapping[str, Any]
     conditions: tuple[tuple[str, float, float], ...]
-    fit: PhysicsFit | None = None
 
 
 _PACKAGES = ("numpy", "scipy", "scikit-learn", "pyoperon", "numba", "mlflow", "deltalake")

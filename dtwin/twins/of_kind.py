@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, TypeAlias, cast
+from typing import TYPE_CHECKING, Any, TypeAlias, cast
 
 from dtwin.acquire.campaign_name import in_lake
 from dtwin.config import Home
@@ -17,14 +17,13 @@ from dtwin.twins.several import require_together
 from dtwin.twins.shelf import kind_of
 
 if TYPE_CHECKING:
-    from dtwin.kinds.volumetric.heat_twin import HeatTwin
-    from dtwin.kinds.volumetric.heat_twins import HeatTwins
     from dtwin.physics.twin import Twin
+    from dtwin.twins.term_twins import TermTwin, TermTwins
     from dtwin.twins.verbs import Twins
 
-AnyTwins: TypeAlias = "Twins | HeatTwins | MachineTwins"
+AnyTwins: TypeAlias = "Twins | TermTwins[Any, Any, Any, Any] | MachineTwins"
 """Twins of a home, of one kind of campaign or of several."""
-AnyTwin: TypeAlias = "Twin | HeatTwin | MachineTwin"
+AnyTwin: TypeAlias = "Twin | TermTwin[Any] | MachineTwin"
 
 
 def twins_with(home: Home, library: Mapping[str, Effect] | None, name: str) -> AnyTwins:

@@ -17,7 +17,7 @@ from real_linuxcnc import skip_without_linuxcnc
 
 from dtwin.acquire.linuxcnc import run_circles
 from dtwin.errors import DeviceError
-from dtwin.lifecycle.axis_tables import AxisTable, compensation_file
+from dtwin.lifecycle._axis_tables import AxisTable, compensation_file
 from dtwin.links.linuxcnc import Bridge
 from dtwin.machines.linuxcnc.circles import Circle, Trace
 from dtwin.machines.linuxcnc.configuration import MillFaults

@@ -23,8 +23,8 @@ from dtwin.cli import main
 from dtwin.config import Home
 from dtwin.errors import GateRefusal, InputError
 from dtwin.kinds.circular._evidence import measured_circles
+from dtwin.kinds.circular._physics_fit import leave_out, predicted_left_out
 from dtwin.kinds.circular._term_columns import TermColumns
-from dtwin.kinds.circular.physics_fit import leave_out, predicted_left_out
 from dtwin.lake.store import Lake
 from dtwin.lifecycle.evidence import make_champion, measure, proven
 from dtwin.lifecycle.train import put_on_trial, train

@@ -14,8 +14,7 @@ from dtwin import __version__
 from dtwin.errors import InputError
 from dtwin.features.motion import PATH_INPUT_UNITS, PATH_INPUTS
 from dtwin.kinds.circular._library import Library, equation_text, weighted_sum
-from dtwin.kinds.circular._term_columns import TermColumns
-from dtwin.kinds.circular.physics_fit import (
+from dtwin.kinds.circular._physics_fit import (
     DEAD_SHARE,
     PhysicsFit,
     fit_physics,
@@ -23,6 +22,7 @@ from dtwin.kinds.circular.physics_fit import (
     predicted_fresh,
     predicted_left_out,
 )
+from dtwin.kinds.circular._term_columns import TermColumns
 from dtwin.lake.store import Lake
 from dtwin.progress import StageProgress
 from dtwin.schema import Floats
@@ -127,7 +127,7 @@ def train_campaign(
         seed=seed,
     )
     trained = sorted({(r["plane"], r["radius_mm"], r["feed_mm_min"]) for r in rows_})
-    return Training(report, geometry, tuple(trained), fit)
+    return Training(report, geometry, tuple(trained))
 
 
 def _proposed(candidates: Sequence[Candidate]) -> str:

@@ -11,8 +11,8 @@ from test_twin_exports import EFFECTS, made_twin
 
 from dtwin.errors import InputError
 from dtwin.kinds.circular.freeze import twin_bundle
+from dtwin.lifecycle._gcode_compensation import compensate
 from dtwin.lifecycle.export import Request, Source, export
-from dtwin.lifecycle.gcode_compensation import compensate
 from dtwin.physics.twin import Twin
 
 

@@ -19,9 +19,9 @@ from emitted import StructuredText, URScript
 
 from dtwin.errors import InputError
 from dtwin.kinds.circular.freeze import twin_bundle
-from dtwin.lifecycle.axis_tables import axis_table, compensation_file, csv_table
+from dtwin.lifecycle._axis_tables import axis_table, compensation_file, csv_table
+from dtwin.lifecycle._gcode_compensation import compensate
 from dtwin.lifecycle.export import Request, Source, export
-from dtwin.lifecycle.gcode_compensation import compensate
 from dtwin.machines.mill import VirtualMill
 from dtwin.machines.mill_parameters import CircularTest, MillParameters
 from dtwin.physics.effect import Instance
