@@ -13,7 +13,7 @@ from dtwin.kinds.sinusoidal._evidence import AIR_S, CLOCK, RIM_MM, SLOPE_UM_PER_
 from dtwin.kinds.sinusoidal._evidence import TRIAL_HZ as TRIAL_HZ
 from dtwin.kinds.sinusoidal._simulate import virtual_slide
 from dtwin.machines.turning import SERVO_HZ
-from dtwin.progress import Progress
+from dtwin.progress import Progress, silent
 from dtwin.schema import Floats
 from dtwin.serve.bundle import Bundle
 from dtwin.statistics import rms
@@ -77,7 +77,7 @@ def trial(
     truth: str = "linear",
     seed: int = 1,
     frequencies_hz: Sequence[float] = TRIAL_HZ,
-    progress: Progress | None = None,
+    progress: Progress = silent,
 ) -> tuple[dict[str, Any], dict[float, tuple[Surface, Surface]]]:
     """Cut the surface at several frequencies without and with a bundle.
 
@@ -93,8 +93,7 @@ def trial(
         cut = _surface_of(records[0], frequency), _surface_of(records[1], frequency)
         surfaces[float(frequency)] = cut
         rows.append(_row(frequency, cut, records[1]))
-        if progress is not None:
-            progress(done, len(frequencies_hz), f"{frequency:g} Hz")
+        progress(done, len(frequencies_hz), f"{frequency:g} Hz")
     return {
         "clock": CLOCK,
         "truth": truth,

@@ -11,7 +11,7 @@ import numpy as np
 from dtwin.kinds.circular.freeze import wrong_way
 from dtwin.machines.mill import Correction
 from dtwin.machines.mill_drive import STEP_S
-from dtwin.progress import Progress
+from dtwin.progress import Progress, silent
 from dtwin.schema import Floats
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.graph import Node
@@ -32,7 +32,7 @@ NOT_DONE = (
 
 
 def defects(
-    bundle: Bundle, metrics: Mapping[str, float], *, seed: int, repeats: int, progress: Progress | None = None
+    bundle: Bundle, metrics: Mapping[str, float], *, seed: int, repeats: int, progress: Progress = silent
 ) -> list[dict[str, Any]]:
     """Apply each defect to a correction, and say which gate or alarm catches it.
 

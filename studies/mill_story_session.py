@@ -12,7 +12,7 @@ import numpy as np
 from dtwin.kinds.circular._mill_evidence import CLOCK, TRANSPORT_S, ServedCorrection, oracle_correction
 from dtwin.machines.mill import Correction, SetupErrors
 from dtwin.machines.mill_parameters import CircularTest, NoiseParameters
-from dtwin.progress import Progress
+from dtwin.progress import Progress, silent
 from dtwin.schema import Run
 from dtwin.serve.bundle import Bundle
 from dtwin.train.evidence import Evidence
@@ -95,9 +95,7 @@ class LaterSession:
         return float(np.mean([np.abs(run.samples["deviation_um"]).mean() for run in chosen]))
 
 
-def later_session(
-    ways: Mapping[str, Way], *, seed: int, repeats: int, progress: Progress | None = None
-) -> LaterSession:
+def later_session(ways: Mapping[str, Way], *, seed: int, repeats: int, progress: Progress = silent) -> LaterSession:
     """Mount the bar anew on the cold machine, and measure all ways in random order.
 
     The oracle knows the repeatable error of every single circle, at its temperature, and has the
@@ -168,9 +166,7 @@ def _oracle(bundle: Bundle, known: Run) -> Correction:
     return oracle_correction(bundle, error, float(geometry()["correction_delay_s"]))
 
 
-def _counted(corrections: Mapping[str, Correction], progress: Progress | None) -> Mapping[str, Correction]:
-    if progress is None:
-        return corrections
+def _counted(corrections: Mapping[str, Correction], progress: Progress) -> Mapping[str, Correction]:
     total, done = len(corrections), 0
 
     def told(name: str, inner: Correction) -> Correction:

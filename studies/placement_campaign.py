@@ -14,7 +14,7 @@ from dtwin.acquire.campaign_folder import write_campaign_file
 from dtwin.atomic import write_text
 from dtwin.kinematics import UR10E
 from dtwin.machines.cobot import ELBOW_UP_RAD, TOOL_DOWN, VirtualCobot
-from dtwin.progress import Progress
+from dtwin.progress import Progress, silent
 from dtwin.schema import Floats
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.runtime import CompiledBundle
@@ -87,7 +87,7 @@ def learn(cobot: VirtualCobot, tcp_mm: Floats, *, repeats: int) -> tuple[Bundle,
 
 
 def measure(
-    cobot: VirtualCobot, bundle: Bundle, tcp_mm: Floats, *, repeats: int, seed: int, progress: Progress | None = None
+    cobot: VirtualCobot, bundle: Bundle, tcp_mm: Floats, *, repeats: int, seed: int, progress: Progress = silent
 ) -> list[Row]:
     """Place every condition in every way, in an order that is drawn anew for every repeat.
 
@@ -108,8 +108,7 @@ def measure(
             probed = cell.place(targets[jobs[i]], motion, feed)
             rows.append(Row(motion, feed, way, clock_s, probed, _located(probed)))
             clock_s += probed.duration_s + 60.0
-        if progress is not None:
-            progress(repeat + 1, repeats, f"block {repeat + 1}")
+        progress(repeat + 1, repeats, f"block {repeat + 1}")
     return rows
 
 

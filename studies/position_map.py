@@ -17,7 +17,7 @@ from dtwin.acquire.virtual_mill import tutorial_mill
 from dtwin.machines.mill import VirtualMill
 from dtwin.machines.mill_parameters import CircularTest
 from dtwin.physics.circular import fit_circle
-from dtwin.progress import Progress
+from dtwin.progress import Progress, silent
 from dtwin.schema import Direction, Floats, Run
 from dtwin.statistics import rms
 from dtwin.units import shown_number
@@ -52,7 +52,7 @@ def printed_x_error_um(x_mm: Floats, y_mm: Floats, follow_x: Floats, follow_y: F
     return np.asarray(-0.181 * x_mm + 13.4 * np.exp(inner) - 0.775)
 
 
-def position_map(seed: int = 0, progress: Progress | None = None) -> dict[str, Any]:
+def position_map(seed: int = 0, progress: Progress = silent) -> dict[str, Any]:
     """Say what decides the printed equation, and try a position map on two mountings of the bar.
 
     ``seed``: of the mill, its set-ups and noise.
@@ -61,12 +61,11 @@ def position_map(seed: int = 0, progress: Progress | None = None) -> dict[str, A
     before and after the map, R², and the same with centre and radius of the mounting taken out. Unit of replication:
     the run. ``robot``: what :func:`~studies.robot_equation.robot_equation` returns.
     """
-    tell = progress or (lambda done, total, what: None)
-    tell(0, 2, "influence of the inputs")
+    progress(0, 2, "influence of the inputs")
     influence = _influence(seed)
-    tell(1, 2, "two mountings of the bar")
+    progress(1, 2, "two mountings of the bar")
     sessions = _sessions(seed)
-    tell(2, 2, "done")
+    progress(2, 2, "done")
     return {
         "influence": influence,
         "ranges": {name: list(limits) for name, limits in RANGES.items()},

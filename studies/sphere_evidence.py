@@ -13,7 +13,7 @@ from dtwin.machines._recording import RunTicks
 from dtwin.machines.cobot import VirtualCobot
 from dtwin.machines.controller import CobotController
 from dtwin.machines.motion import MotionPlan
-from dtwin.progress import Progress
+from dtwin.progress import Progress, silent
 from dtwin.schema import Floats
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.decision import Decision
@@ -72,7 +72,7 @@ def sphere_evidence(
     trained_mm_min: Sequence[float],
     repeats: int,
     setup: str,
-    progress: Progress | None = None,
+    progress: Progress = silent,
 ) -> list[FeedResult]:
     """Measure the three circles at every feed without, with, and with an oracle's correction.
 
@@ -102,8 +102,7 @@ def sphere_evidence(
             rms[way] = remainders_um(runs)
             raw[way] = [float(np.abs(r.deviation_um).mean()) for r in runs]
         out.append(FeedResult(feed, feed in trained_mm_min, rms, raw, acted))
-        if progress is not None:
-            progress(done, len(feeds_mm_min), f"F{feed:g}")
+        progress(done, len(feeds_mm_min), f"F{feed:g}")
     return out
 
 

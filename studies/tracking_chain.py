@@ -20,7 +20,7 @@ from dtwin.config import sample_recording
 from dtwin.machines.cobot import CircleCondition, CobotRecording, VirtualCobot
 from dtwin.machines.parameters import load_parameters
 from dtwin.physics.circular import fit_circle
-from dtwin.progress import Progress
+from dtwin.progress import Progress, silent
 from dtwin.schema import Floats, Run
 from dtwin.units import UM_PER_MM
 from studies.tracking_figures import (
@@ -39,7 +39,7 @@ REPEATS = 3
 LOOP_HZ = 4.6
 
 
-def tracking_chain(seed: int = 0, progress: Progress | None = None, *, repeats: int = REPEATS) -> Chain:
+def tracking_chain(seed: int = 0, progress: Progress = silent, *, repeats: int = REPEATS) -> Chain:
     """Run the thesis's tracking test on the virtual cobot and reduce it as the thesis does.
 
     ``seed``: of the machine, its set-ups and its noise.
@@ -50,7 +50,7 @@ def tracking_chain(seed: int = 0, progress: Progress | None = None, *, repeats: 
     return reduce_passes(passes, (*_circles(recordings), *_real_circles()))
 
 
-def _measured(seed: int, repeats: int, progress: Progress | None) -> tuple[list[Pass], list[CobotRecording]]:
+def _measured(seed: int, repeats: int, progress: Progress) -> tuple[list[Pass], list[CobotRecording]]:
     plain = load_parameters()
     digitiser = replace(plain.accelerometers, rate_hz=BLOCK_RATE_HZ)
     cobot = VirtualCobot(replace(plain, accelerometers=digitiser), seed=seed)
@@ -63,8 +63,7 @@ def _measured(seed: int, repeats: int, progress: Progress | None) -> tuple[list[
         made = cobot.measure(condition, setup="tracking", repeat=repeat)
         passes.append(_pass(made, cobot.centre_mm(RADIUS_MM)))
         recordings.append(made)
-        if progress is not None:
-            progress(done, len(jobs), f"F{feed:g} {direction}")
+        progress(done, len(jobs), f"F{feed:g} {direction}")
     return passes, recordings
 
 

@@ -13,7 +13,7 @@ from dtwin.kinds.sinusoidal._bundle import Action
 from dtwin.kinds.sinusoidal._candidates import FORMS, form_candidate, searched_candidate, what_was_seen
 from dtwin.kinds.sinusoidal._gates import tone_gates
 from dtwin.kinds.sinusoidal._groups import ToneGroups, groups_of, heard_groups
-from dtwin.progress import Progress
+from dtwin.progress import Progress, silent
 from dtwin.serve.bundle import Bundle
 from dtwin.train.results import Candidate, candidate_metrics
 from studies.judged_bundle import JudgedBundle
@@ -34,7 +34,7 @@ class FittedTones(JudgedBundle):
     told: list[str]
 
 
-def folder_groups(folder: Path, progress: Progress | None = None) -> tuple[str, ToneGroups]:
+def folder_groups(folder: Path, progress: Progress = silent) -> tuple[str, ToneGroups]:
     """Return the machine and the groups of a campaign folder, runs with errors left out.
 
     Raises ``InputError`` when it is of another kind, or no run can be learned from.
@@ -47,8 +47,7 @@ def folder_groups(folder: Path, progress: Progress | None = None) -> tuple[str, 
     usable = []
     for done, (runs, _) in enumerate(sources, start=1):
         usable += [r for r in runs if not any(f.severity == "error" for f in judge_run(r))]
-        if progress is not None:
-            progress(done, total, runs[0].meta.run_id if runs else "")
+        progress(done, total, runs[0].meta.run_id if runs else "")
     return campaign.machine, groups_of(usable, str(folder))
 
 

@@ -16,7 +16,7 @@ from dtwin.errors import InputError
 from dtwin.kinds.registry import kinds
 from dtwin.lake.rows import columns_sha256
 from dtwin.lake.store import Lake, RejectedRows
-from dtwin.progress import Progress
+from dtwin.progress import Progress, silent
 from dtwin.schema import Campaign, Finding, Run
 
 _OF_TEXT = (".txt", ".tsv", ".dat", ".log")
@@ -41,9 +41,7 @@ class IngestReport:
     versions: dict[str, int]
 
 
-def ingest(
-    path: Path, lake: Lake, progress: Progress | None = None, told: Mapping[str, Any] | None = None
-) -> IngestReport:
+def ingest(path: Path, lake: Lake, progress: Progress = silent, told: Mapping[str, Any] | None = None) -> IngestReport:
     """Bring a campaign folder, a bare ``.b5r`` or a table that lies alone into the lake.
 
     Safe to repeat: runs that are there with the same content are left alone, so an
@@ -73,8 +71,7 @@ def ingest(
         findings += [(run.meta.run_id, finding) for run in runs for finding in run.findings]
         n_rejected += sum(len(part.rows) for part in rejected)
         judged += map(without_samples, runs)
-        if progress is not None:
-            progress(done, total, batch[-1].meta.run_id if batch else "")
+        progress(done, total, batch[-1].meta.run_id if batch else "")
     findings += [("", finding) for finding in judge_campaign(judged)]
     return IngestReport(campaign.name, tuple(added), tuple(unchanged), tuple(findings), n_rejected, versions)
 

@@ -17,7 +17,7 @@ from dtwin.acquire.campaign_folder import write_campaign_file
 from dtwin.acquire.signal_files import write_signals
 from dtwin.errors import Interrupted, StoreError
 from dtwin.plan import Plan, PlannedTest
-from dtwin.progress import Progress
+from dtwin.progress import Progress, silent
 from dtwin.schema import DEFAULT_KIND, Direction, Run
 
 MANIFEST = "manifest.jsonl"
@@ -65,7 +65,7 @@ class CampaignRun:
     raw_bytes: int
 
 
-def run_campaign(plan: Plan, bench: Bench, folder: Path, progress: Progress | None = None) -> CampaignRun:
+def run_campaign(plan: Plan, bench: Bench, folder: Path, progress: Progress = silent) -> CampaignRun:
     """Measure every test of a plan that the folder does not hold yet.
 
     A test is done when its files are there with the checksums of the manifest, so the same
@@ -89,8 +89,7 @@ def run_campaign(plan: Plan, bench: Bench, folder: Path, progress: Progress | No
 
     def save(test: PlannedTest, runs: Sequence[Run]) -> None:
         done[test.test_id] = _save(folder, plan, test, runs)
-        if progress is not None:
-            progress(len(done), len(plan.tests), test.test_id)
+        progress(len(done), len(plan.tests), test.test_id)
 
     try:
         if missing:

@@ -16,7 +16,7 @@ from dtwin.kinds.machine import require_no_campaign
 from dtwin.machines.mill import Moment, VirtualMill
 from dtwin.machines.mill_parameters import CircularTest, MillParameters
 from dtwin.plan import Plan
-from dtwin.progress import Progress
+from dtwin.progress import Progress, silent
 from dtwin.schema import PLANES, Campaign, Direction, Floats, Plane, Run, RunMeta
 
 _FEEDS_MM_MIN = (1000.0, 2000.0, 4000.0)
@@ -114,7 +114,7 @@ def simulate_mill(
     quick: bool = False,
     hidden: str = "backlash",
     plan: Plan | None = None,
-    progress: Progress | None = None,
+    progress: Progress = silent,
 ) -> list[Run]:
     """Measure the virtual mill and write a campaign folder.
 
@@ -136,7 +136,7 @@ def simulate_mill(
 
 
 def write_campaign(
-    folder: Path, campaign: Campaign, runs: Sequence[Run], truth: MillParameters, progress: Progress | None = None
+    folder: Path, campaign: Campaign, runs: Sequence[Run], truth: MillParameters, progress: Progress = silent
 ) -> None:
     """Write runs of the virtual mill as a campaign folder, with what is wrong in ``truth.toml``.
 
@@ -149,15 +149,14 @@ def write_campaign(
     write_runs(folder, campaign, runs, progress)
 
 
-def write_runs(folder: Path, campaign: Campaign, runs: Sequence[Run], progress: Progress | None = None) -> None:
+def write_runs(folder: Path, campaign: Campaign, runs: Sequence[Run], progress: Progress = silent) -> None:
     """Write circular runs as a campaign folder.
 
     ``folder``: folder to write; the campaign file comes last.
     """
     for number, run in enumerate(runs):
         _write_samples(folder / f"{run.meta.run_id}.csv", run)
-        if progress is not None:
-            progress(number + 1, len(runs), run.meta.run_id)
+        progress(number + 1, len(runs), run.meta.run_id)
     head = {
         "name": campaign.name,
         "machine": campaign.machine,

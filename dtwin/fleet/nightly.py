@@ -19,7 +19,7 @@ from dtwin.fleet.run import FleetRun, run_fleet
 from dtwin.local_time import local_day
 from dtwin.pipeline.machine_history import machine_history, machine_overviews
 from dtwin.pipeline.watching import FolderWatch, WatchEvent, watch
-from dtwin.progress import Progress, StageProgress
+from dtwin.progress import Progress, StageProgress, silent
 
 # Champions are checked a little less than a day after the last time: nights do not begin to the second.
 _DAYS = 0.9
@@ -60,7 +60,7 @@ def nightly(
     on: str = "local",
     workers: int | None = None,
     seed: int = 0,
-    progress: StageProgress | None = None,
+    progress: StageProgress = silent,
     today: date | None = None,
     settle_s: float = 10.0,
 ) -> Night:
@@ -77,19 +77,21 @@ def nightly(
     arrived = [] if seen is None else _taken_in(seen, settle_s)
 
     def done(job: Job) -> FleetRun:
-        told = None if progress is None else partial(progress, job.name)
         run = FleetRun(job.name, on)
         try:
-            return run_fleet(home, job, machines, on=on, workers=workers, seed=seed, progress=told, into=run)
+            return run_fleet(
+                home, job, machines, on=on, workers=workers, seed=seed, progress=partial(progress, job.name), into=run
+            )
         except StoreError as error:
             # Of this night a scheduler that is away is told, too, and all else that there is to tell.
             run.failed[f"fleet {job.name}"] = error.as_dict()
             return run
 
     night = Night(done(DIAGNOSE), done(recheck_job(_DAYS)), arrived)
-    looked_at = None if progress is None else partial(progress, "history")
     day = today or local_day()
-    night.alerts = sorted_alerts([*_of_work(night, folder), *_of_machines(home, machines, day, looked_at)])
+    night.alerts = sorted_alerts(
+        [*_of_work(night, folder), *_of_machines(home, machines, day, partial(progress, "history"))]
+    )
     night.told = tell(home, night.alerts, channels, today)
     # A night that is cut short before tells the next time what it refused.
     if seen is not None and arrived:
@@ -125,13 +127,12 @@ def _of_work(night: Night, folder: Path | None) -> Iterator[Alert]:
             yield Alert("withdrawn", name, f"the champion was withdrawn: {said['headline']}")
 
 
-def _of_machines(home: Home, machines: Collection[str], today: date, progress: Progress | None) -> Iterator[Alert]:
+def _of_machines(home: Home, machines: Collection[str], today: date, progress: Progress) -> Iterator[Alert]:
     """Yield what is overdue, what changed, what crosses a limit, and champions that drifted."""
     drifts = _drifts(home, machines)
     names = [m["machine"] for m in machine_overviews(home) if not machines or m["machine"] in machines]
     for done, name in enumerate(names, start=1):
-        if progress is not None:
-            progress(done, len(names), name)
+        progress(done, len(names), name)
         try:
             history = machine_history(home, name)
         except DtwinError as error:

@@ -26,7 +26,7 @@ from dtwin.fleet.jobs import Job, Unit
 from dtwin.locks import locked
 from dtwin.own_address import names_this_computer
 from dtwin.processes import end_with, processors
-from dtwin.progress import Progress
+from dtwin.progress import Progress, silent
 
 _TRIES = 3
 
@@ -59,7 +59,7 @@ def run_fleet(
     on: str = "local",
     workers: int | None = None,
     seed: int = 0,
-    progress: Progress | None = None,
+    progress: Progress = silent,
     into: FleetRun | None = None,
 ) -> FleetRun:
     """Do a job for machines, and keep every result as it comes.
@@ -91,8 +91,7 @@ def run_fleet(
                 with engine(on, workers) as at:
                     for unit, future in _answers(replace(at, slots=1) if alone else at, home, job, todo, seed):
                         _take(run, home, job, unit, future)
-                        if progress is not None:
-                            progress(len(run.done) + len(run.failed), len(units), unit.name)
+                        progress(len(run.done) + len(run.failed), len(units), unit.name)
             except BrokenExecutor:
                 # A process died: one unit at a time shows with which.
                 if alone:

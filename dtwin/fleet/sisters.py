@@ -24,7 +24,7 @@ from dtwin.physics.library import Library
 from dtwin.physics.twin import chosen_terms
 from dtwin.pipeline.kept import kept_already, sheet_of_campaign, stamp_of, variation_of
 from dtwin.pipeline.machine_joint import newest_tests
-from dtwin.progress import Progress
+from dtwin.progress import Progress, silent
 from dtwin.report.sheet import number_of
 from dtwin.schema import Floats
 from dtwin.statistics import chi2_quantile, holm, t_tail
@@ -184,7 +184,7 @@ def _prior(values: Floats, errors: Floats, usual: _Flags, but: int, chance: floa
 
 
 def sisters(
-    home: Home, machines: Sequence[str] = (), type_name: str = "", progress: Progress | None = None
+    home: Home, machines: Sequence[str] = (), type_name: str = "", progress: Progress = silent
 ) -> list[_SisterSize]:
     """Compare machines of one type by the newest campaign of each: figures of its test sheet, and sizes of effects.
 
@@ -268,9 +268,7 @@ def _figures(home: Home, tests: Mapping[str, str]) -> dict[_Key, list[_Row]]:
     return figures
 
 
-def _sizes(
-    home: Home, tests: Mapping[str, str], effects: Sequence[str], progress: Progress | None
-) -> dict[_Key, list[_Row]]:
+def _sizes(home: Home, tests: Mapping[str, str], effects: Sequence[str], progress: Progress) -> dict[_Key, list[_Row]]:
     library = Library()
     sizes: dict[_Key, list[_Row]] = {}
     for done, (machine, campaign) in enumerate(tests.items(), start=1):
@@ -288,8 +286,7 @@ def _sizes(
             if e.identifiable and e.uncertainty > 0.0 and not e.name.startswith(("cosine", "sine")):
                 key = (f"{e.effect} {e.axis}".rstrip(), library[e.effect].title, e.name.replace("_", " "), e.unit)
                 sizes.setdefault(key, []).append((machine, campaign, e.value, e.uncertainty))
-        if progress is not None:
-            progress(done, len(tests), machine)
+        progress(done, len(tests), machine)
     return sizes
 
 

@@ -8,6 +8,7 @@ from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
 from dtwin.errors import InputError
+from dtwin.progress import Progress, silent
 
 # The command line reads the records for its help: they import nothing heavy, numpy included.
 if TYPE_CHECKING:
@@ -23,7 +24,6 @@ if TYPE_CHECKING:
     from dtwin.physics.effect import Effect
     from dtwin.physics.grid import Grid, Row
     from dtwin.physics.observations import Observations
-    from dtwin.progress import Progress
     from dtwin.report.sheet import Sheet
     from dtwin.report.twin_of_kind import TwinReport
     from dtwin.report.uncertainty import Circumstances, Variation
@@ -279,7 +279,7 @@ class Kind:
         """Return the figures of one sound run, JSON-ready."""
         return self._done("run_figures")(run) if "run_figures" in self.places else {}
 
-    def campaign_figures(self, runs: Sequence[Run], progress: Progress | None = None) -> Mapping[str, Any]:
+    def campaign_figures(self, runs: Sequence[Run], progress: Progress = silent) -> Mapping[str, Any]:
         """Return the figures of a campaign, JSON-ready; what does it gives those of ``told_as``. ``progress``: of what takes long."""
         told_as = self.told_as or self.name
         return {told_as: self._done("campaign_figures")(runs, progress)} if "campaign_figures" in self.places else {}
@@ -363,7 +363,7 @@ class Kind:
         rows: Sequence[dict[str, Any]],
         bundle: Bundle,
         metrics: Mapping[str, float],
-        progress: Progress | None = None,
+        progress: Progress = silent,
     ) -> ChampionError:
         """Return what a bundle leaves of the runs of rows of the lake; ``metrics`` were logged with it."""
         return self._done("champion_error")(lake, rows, bundle, metrics, progress)

@@ -70,7 +70,7 @@ class EvidenceRequest:
     geometry: Mapping[str, Any]
     plan: Any
     seed: int
-    progress: Progress | None
+    progress: Progress
 
 
 def require_no_campaign(folder: Path) -> None:
@@ -118,7 +118,7 @@ class VirtualMachine(ABC):
         """Measure pairs with and without a bundle, in an order of its own for each of some blocks."""
         raise self.lacks("a check by pairs of runs", "dtwin recheck judges fresh evidence")
 
-    def prediction(self, home: Home, version: RegisteredVersion, progress: Progress | None) -> Evidence:
+    def prediction(self, home: Home, version: RegisteredVersion, progress: Progress) -> Evidence:
         """Return evidence that other campaigns of the lake give, where nothing is served."""
         raise self.lacks("predicted evidence", FROM_THE_LAKE)
 

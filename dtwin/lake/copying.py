@@ -9,12 +9,12 @@ from dtwin.lake._folders import Folder, Place
 from dtwin.lake._log import added, content_hash
 from dtwin.lake.delta import DeltaFiles
 from dtwin.lake.store import TABLES, Lake
-from dtwin.progress import Progress
+from dtwin.progress import Progress, silent
 
 _LAST = "_last_checkpoint"
 
 
-def copy_lake(source: Place, target: Place, progress: Progress | None = None) -> int:
+def copy_lake(source: Place, target: Place, progress: Progress = silent) -> int:
     """Copy a lake with all its versions, and return how many files it has; what is there already is compared.
 
     Data files come first and the log's entries in their order, so that what is there at any moment is a lake.
@@ -37,8 +37,7 @@ def copy_lake(source: Place, target: Place, progress: Progress | None = None) ->
                 made.folder.write(file, content)
                 if not made.intact(file):
                     raise _differs(made.folder, file)
-            if progress is not None:
-                progress(k, len(data), f"{name}/{file}")
+            progress(k, len(data), f"{name}/{file}")
         for entry in log:
             _same(table.log.folder, made.log.folder, entry)
         done += len(data) + len(log)

@@ -12,7 +12,7 @@ from dtwin.config import Home
 from dtwin.errors import GateRefusal, InputError
 from dtwin.kinds.registry import kind_named, kind_of
 from dtwin.lake.store import TABLES, Lake
-from dtwin.progress import Progress
+from dtwin.progress import Progress, silent
 from dtwin.schema import Finding
 from dtwin.serve.bundle import Bundle
 from dtwin.train.champion_error import ChampionError, um_text
@@ -108,7 +108,7 @@ def usable(row: Any) -> bool:
     return bool(row["n_errors"] == 0 and row["status"] == "complete")
 
 
-def check_drift(home: Home, champion: RegisteredVersion, campaign: str, progress: Progress | None = None) -> DriftCheck:
+def check_drift(home: Home, champion: RegisteredVersion, campaign: str, progress: Progress = silent) -> DriftCheck:
     """Judge the champion on those runs of a campaign that it was never trained on.
 
     Mean squares add: what the champion's error has grown by is the root of the difference of
@@ -155,7 +155,7 @@ def champion_error(
     champion: RegisteredVersion,
     lake: Lake,
     rows: Sequence[dict[str, Any]],
-    progress: Progress | None = None,
+    progress: Progress = silent,
 ) -> ChampionError:
     """Return a version's error on runs in the lake, with its frozen bundle.
 

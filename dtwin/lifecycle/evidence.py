@@ -13,7 +13,7 @@ from dtwin.kinds.registry import machine_of_type, machines
 from dtwin.lake.store import Lake
 from dtwin.lifecycle.drift import require_training
 from dtwin.lifecycle.train import geometry_of, markdown_table
-from dtwin.progress import Progress
+from dtwin.progress import Progress, silent
 from dtwin.report.campaign import evidence_section, evidence_table
 from dtwin.report.html import page
 from dtwin.schema import Campaign, fresh_name
@@ -51,15 +51,13 @@ def compute(
 
 
 def measure(
-    home: Home, version: RegisteredVersion, *, seed: int, plan: Any = None, progress: Progress | None = None
+    home: Home, version: RegisteredVersion, *, seed: int, plan: Any = None, progress: Progress = silent
 ) -> Evidence:
     """Measure a virtual machine as :func:`look` does, and keep the evidence that the runs give."""
     return keep_looked(home, version, look(home, version, seed=seed, plan=plan, progress=progress))
 
 
-def look(
-    home: Home, version: RegisteredVersion, *, seed: int, plan: Any = None, progress: Progress | None = None
-) -> Looked:
+def look(home: Home, version: RegisteredVersion, *, seed: int, plan: Any = None, progress: Progress = silent) -> Looked:
     """Measure a virtual machine with and without a version, or predict where nothing is served; nothing is written.
 
     ``plan``: what the machine is measured by, in the form of its kind; it chooses from what was trained without.
@@ -114,7 +112,7 @@ def proven(home: Home, version: RegisteredVersion) -> Evidence | None:
     notes = record.content["notes"]
     machine = machine_of_type(geometry_of(registry, version).get("type"))
     evidence = (
-        machine.prediction(home, version, None)
+        machine.prediction(home, version, silent)
         if machine is not None and machine.offers("prediction") and not campaigns[WITH]
         else _computed(home, version, campaigns[WITHOUT], campaigns[WITH], notes)
     )
@@ -122,9 +120,7 @@ def proven(home: Home, version: RegisteredVersion) -> Evidence | None:
     return evidence
 
 
-def proven_or_measured(
-    home: Home, version: RegisteredVersion, *, seed: int, progress: Progress | None = None
-) -> Evidence:
+def proven_or_measured(home: Home, version: RegisteredVersion, *, seed: int, progress: Progress = silent) -> Evidence:
     """Return the evidence of a version; a virtual machine without any is measured."""
     return proven(home, version) or measure(home, version, seed=seed, progress=progress)
 

@@ -13,7 +13,7 @@ from dtwin.errors import InputError
 from dtwin.kinds.machine import EvidenceRequest, VirtualMachine
 from dtwin.lifecycle.evidence import compute, keep_looked, look, virtual_of
 from dtwin.lifecycle.train import geometry_of
-from dtwin.progress import Progress
+from dtwin.progress import Progress, silent
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.pointer import renew_proof
 from dtwin.train.evidence import WITHOUT, Evidence
@@ -65,7 +65,7 @@ def recheck(
     virtual: VirtualMachine | None = None,
     blocks: int = 3,
     seed: int = 0,
-    progress: Progress | None = None,
+    progress: Progress = silent,
 ) -> Rechecked:
     """Judge a champion by runs with and without it, and withdraw it when it harms.
 
@@ -101,7 +101,7 @@ def look_again(
     virtual: VirtualMachine | None = None,
     blocks: int = 3,
     seed: int = 0,
-    progress: Progress | None = None,
+    progress: Progress = silent,
 ) -> list[CheckedRun] | Looked:
     """Measure a virtual machine with and without its champion: by pairs where it takes them; nothing is written."""
     registry = Registry(home)

@@ -29,7 +29,7 @@ from dtwin.lifecycle.drift import (
 )
 from dtwin.lifecycle.train import Registered, train
 from dtwin.locks import locked
-from dtwin.progress import StageProgress
+from dtwin.progress import StageProgress, silent
 from dtwin.report.html import Section, Table, page
 from dtwin.schema import Campaign
 from dtwin.train.champion_error import um_text
@@ -110,7 +110,7 @@ class Scheduled:
         return document
 
 
-def scheduled_training(home: Home, *, seed: int = 1, progress: StageProgress | None = None) -> Scheduled:
+def scheduled_training(home: Home, *, seed: int = 1, progress: StageProgress = silent) -> Scheduled:
     """Train on the newest campaign if it has new runs, compare with the champion.
 
     Campaigns that are older than what a machine's newest training used are passed over, so the
@@ -219,7 +219,7 @@ def _ingested(rows: list[dict[str, Any]]) -> str:
 class _Turn:
     """One pass over the campaigns, the newest first."""
 
-    def __init__(self, home: Home, registry: Registry, seed: int, progress: StageProgress | None) -> None:
+    def __init__(self, home: Home, registry: Registry, seed: int, progress: StageProgress) -> None:
         self.home, self.registry, self.seed, self.progress = home, registry, seed, progress
         self.told: dict[str, str] = {}
         self.drift: list[DriftCheck] = []

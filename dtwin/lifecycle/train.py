@@ -12,7 +12,7 @@ from dtwin.config import Home
 from dtwin.kinds.registry import kind_named
 from dtwin.lake.store import Lake
 from dtwin.lifecycle.drift import require_training
-from dtwin.progress import StageProgress
+from dtwin.progress import StageProgress, silent
 from dtwin.report.campaign import comparison_table, training_section
 from dtwin.report.html import page
 from dtwin.train.dataset import require_uncorrected
@@ -37,7 +37,7 @@ class Registered:
 
 
 def train(
-    home: Home, campaign: str, *, seed: int = 1, engine: Engine | None = None, progress: StageProgress | None = None
+    home: Home, campaign: str, *, seed: int = 1, engine: Engine | None = None, progress: StageProgress = silent
 ) -> Registered:
     """Train every candidate on a campaign, log them, register the proposed one.
 
@@ -49,7 +49,7 @@ def train(
 
 
 def trained(
-    home: Home, campaign: str, *, seed: int = 1, engine: Engine | None = None, progress: StageProgress | None = None
+    home: Home, campaign: str, *, seed: int = 1, engine: Engine | None = None, progress: StageProgress = silent
 ) -> Training:
     """Train every candidate on a campaign; nothing is written."""
     lake = Lake(home.lake)
@@ -62,10 +62,9 @@ def trained(
     return replace(training, report=replace(training.report, told=told, candidates=candidates))
 
 
-def registered(home: Home, training: Training, progress: StageProgress | None = None) -> Registered:
+def registered(home: Home, training: Training, progress: StageProgress = silent) -> Registered:
     """Log the candidates of a training, register the proposed one, and judge it by the offline gates."""
-    if progress is not None:
-        progress("log and register", 0, 1, "")
+    progress("log and register", 0, 1, "")
     report = training.report
     registry = Registry(home)
     title = f"Training on {report.campaign}"
@@ -86,8 +85,7 @@ def registered(home: Home, training: Training, progress: StageProgress | None = 
     registry.note(
         ids[""], f"{description}\n\nThe candidates are the runs below this one; pictures are in its artifacts."
     )
-    if progress is not None:
-        progress("log and register", 1, 1, f"version {version.version}")
+    progress("log and register", 1, 1, f"version {version.version}")
     return Registered(training, registry.version(report.machine, version.version), verdicts)
 
 

@@ -10,14 +10,14 @@ from dtwin.config import Home
 from dtwin.kinds.registry import kind_named
 from dtwin.lake.store import Lake
 from dtwin.physics.circular import fit_circle, residual_um
-from dtwin.progress import Progress
+from dtwin.progress import Progress, silent
 from dtwin.report.checking import run_result
 from dtwin.schema import Floats, Run, of_one_way
 
 _MOST_CURVES = 6
 
 
-def campaign_figures(home: Home, campaign: str, progress: Progress | None = None) -> dict[str, Any]:
+def campaign_figures(home: Home, campaign: str, progress: Progress = silent) -> dict[str, Any]:
     """Return figures and findings of every run of a campaign in the lake.
 
     Returns ``campaign``, ``machine``, ``kind``, ``runs`` as ``dtwin check`` gives them, and ``findings`` of the whole.
@@ -31,8 +31,7 @@ def campaign_figures(home: Home, campaign: str, progress: Progress | None = None
         run = lake.load(row, signals=False)
         results.append(run_result(run))
         light.append(without_samples(run))
-        if progress is not None:
-            progress(done, len(rows), run.meta.run_id)
+        progress(done, len(rows), run.meta.run_id)
     return {
         "campaign": campaign,
         "machine": known.machine,

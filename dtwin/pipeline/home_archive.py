@@ -24,7 +24,7 @@ from dtwin.errors import InputError, StoreError
 from dtwin.home_file import HOME_FILE, moved
 from dtwin.lake.store import Lake
 from dtwin.pipeline.home_check import database_fault
-from dtwin.progress import Progress
+from dtwin.progress import Progress, silent
 
 MANIFEST = "dtwin-home.json"
 # Made again when missing, of one computer or one start alone, or a secret of its own servers.
@@ -50,7 +50,7 @@ class _Archived:
     left: tuple[str, ...] = ()
 
 
-def backup(home: Home, out: Path, progress: Progress | None = None) -> _Archived:
+def backup(home: Home, out: Path, progress: Progress = silent) -> _Archived:
     """Write all that a home holds to one file, which only its owner can read.
 
     Ingests wait meanwhile; databases are copied as of one moment. Caches, logs and locks are left out.
@@ -76,8 +76,7 @@ def backup(home: Home, out: Path, progress: Progress | None = None) -> _Archived
                     entries[name] = _added(archive, path, name)
                 except FileNotFoundError:
                     continue
-                if progress is not None:
-                    progress(done, len(files), name)
+                progress(done, len(files), name)
             about = {
                 "dtwin": __version__,
                 "root": str(home.root),
@@ -88,7 +87,7 @@ def backup(home: Home, out: Path, progress: Progress | None = None) -> _Archived
     return _Archived(out, len(entries), sum(size for size, _ in entries.values()))
 
 
-def restore(archive: Path, home: Home, progress: Progress | None = None) -> _Archived:
+def restore(archive: Path, home: Home, progress: Progress = silent) -> _Archived:
     """Make a home from a backup; every file is compared with its hash before the home gets its name.
 
     Raises ``InputError`` when the home is there already, or the file is no backup.
@@ -214,7 +213,7 @@ def _is_sqlite(path: Path) -> bool:
         return file.read(len(_SQLITE)) == _SQLITE
 
 
-def _extracted(archive: Path, into: Path, progress: Progress | None) -> Mapping[str, Any]:
+def _extracted(archive: Path, into: Path, progress: Progress) -> Mapping[str, Any]:
     """Write the files of a backup, and return its manifest after comparing them."""
     hashes: dict[str, list[Any]] = {}
     about: Mapping[str, Any] | None = None
@@ -229,8 +228,7 @@ def _extracted(archive: Path, into: Path, progress: Progress | None) -> Mapping[
                     about = _manifest(archive, held.read(_MOST_MANIFEST))
                     continue
                 hashes[member.name] = _copied(held, _place(archive, into, member.name))
-                if progress is not None:
-                    progress(len(hashes), len(hashes), member.name)
+                progress(len(hashes), len(hashes), member.name)
     except (OSError, tarfile.TarError, EOFError) as error:
         raise StoreError(
             "the backup cannot be read", code="home.backup", where=str(archive), got=str(error)[:120]

@@ -17,7 +17,7 @@ from dtwin.errors import DtwinError, InputError, StoreError
 from dtwin.lake.store import Lake
 from dtwin.machine_record import read_record, recorded
 from dtwin.people import AUDIT, audit, damaged_in
-from dtwin.progress import Progress
+from dtwin.progress import Progress, silent
 from dtwin.serve.pointer import resolve
 from dtwin.serve.sealed import CHAMPION, MACHINE
 from dtwin.shared_documents import shared_content, shared_units
@@ -60,7 +60,7 @@ def shared_parts(home: Home) -> dict[str, dict[str, int]]:
     return parts
 
 
-def check_home(home: Home, progress: Progress | None = None) -> _HomeCheck:
+def check_home(home: Home, progress: Progress = silent) -> _HomeCheck:
     """Read everything that a home has a hash of, and ask its databases."""
     looked_at: dict[str, int] = {}
     wrong: dict[str, str] = {}
@@ -82,7 +82,7 @@ def check_home(home: Home, progress: Progress | None = None) -> _HomeCheck:
     return _HomeCheck(looked_at, wrong)
 
 
-def _runs(home: Home, progress: Progress | None) -> Iterator[tuple[str, str]]:
+def _runs(home: Home, progress: Progress) -> Iterator[tuple[str, str]]:
     lake = Lake(home.lake)
     try:
         rows = lake.runs(left_out=True)
@@ -92,8 +92,7 @@ def _runs(home: Home, progress: Progress | None) -> Iterator[tuple[str, str]]:
     for done, row in enumerate(rows, start=1):
         name = f"{row['campaign']}/{row['run_id']}"
         yield name, _said(lake.load, row)
-        if progress is not None:
-            progress(done, len(rows), name)
+        progress(done, len(rows), name)
 
 
 def _documents(home: Home) -> Iterator[tuple[str, str]]:

@@ -17,7 +17,7 @@ from dtwin.home_file import HOME_FILE, HomeFile, home_file_of
 from dtwin.lake.copying import copy_lake
 from dtwin.lake.store import Lake
 from dtwin.locks import locked
-from dtwin.progress import Progress
+from dtwin.progress import Progress, silent
 from dtwin.shared_documents import follow_shared
 
 _COMING = "moving"
@@ -40,7 +40,7 @@ class _Moved:
     before: str
 
 
-def share(home: Home, stated: Mapping[str, str], progress: Progress | None = None) -> _Moved:
+def share(home: Home, stated: Mapping[str, str], progress: Progress = silent) -> _Moved:
     """Copy a local home to a store and a database, and point to them.
 
     What is local stays where it is. Can be repeated after a kill.
@@ -67,7 +67,7 @@ def share(home: Home, stated: Mapping[str, str], progress: Progress | None = Non
     return _Moved(target.store, target.registry, files, rows, str(home.root / "lake"))
 
 
-def bring_home(home: Home, progress: Progress | None = None) -> _Moved:
+def bring_home(home: Home, progress: Progress = silent) -> _Moved:
     """Copy a shared home to this computer, and point to the copy; the store stays as it is.
 
     A flows database is not copied: Prefect begins a new one here. A registry that is an MLflow server stays the
@@ -143,7 +143,7 @@ def _claim(home: Home, objects: Objects, where: str) -> None:
     )
 
 
-def _registry(home: Home, there: Home, progress: Progress | None, artifacts: str) -> int:
+def _registry(home: Home, there: Home, progress: Progress, artifacts: str) -> int:
     """Copy the registry where it is this home's own; return how many rows."""
     if home.mlflow_uri == there.mlflow_uri:
         return 0

@@ -14,7 +14,7 @@ from dtwin.errors import DeviceError
 from dtwin.links.linuxcnc import Bridge, LinuxcncLink
 from dtwin.machines.linuxcnc.circles import Circle, Trace
 from dtwin.machines.linuxcnc.session import LinuxcncSession
-from dtwin.progress import Progress
+from dtwin.progress import Progress, silent
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.decision import Decision
 from dtwin.serve.loop import ServeStatus, ServingLoop
@@ -92,15 +92,14 @@ class LiveCorrection:
 
 
 def measure_live(
-    session: LinuxcncSession, bundle: Bundle, circles: Sequence[Circle], progress: Progress | None = None
+    session: LinuxcncSession, bundle: Bundle, circles: Sequence[Circle], progress: Progress = silent
 ) -> list[LiveTrace]:
     """Run circles, in order, with a correction served live."""
     live = LiveCorrection(session, bundle)
     out = []
     for done, circle in enumerate(circles, start=1):
         out.append(live.run(circle))
-        if progress is not None:
-            progress(done, len(circles), named(circle))
+        progress(done, len(circles), named(circle))
     return out
 
 

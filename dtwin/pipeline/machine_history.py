@@ -20,7 +20,7 @@ from dtwin.pipeline._test_points import add_figures, add_sizes, sizes
 from dtwin.pipeline.catalogue import Overview, TwinLine, catalogue, twin_lines
 from dtwin.pipeline.kept import kept, kept_already, sheet_of_campaign, stamp_of, variation_of
 from dtwin.pipeline.machine_series import ALARMS, Point, Series, judged_series, next_test
-from dtwin.progress import Progress
+from dtwin.progress import Progress, silent
 from dtwin.report.sheet import number_of
 from dtwin.serve.pointer import resolve
 from dtwin.twins.verbs import Twins
@@ -47,7 +47,7 @@ def machine_overviews(
 def machine_history(
     home: Home,
     machine: str,
-    progress: Progress | None = None,
+    progress: Progress = silent,
     library: Mapping[str, Effect] | None = None,
     twins: Sequence[TwinLine] | None = None,
     files: Mapping[str, Sequence[str]] | None = None,
@@ -112,7 +112,7 @@ def _stamp(
 
 
 def _history(
-    home: Home, machine: str, names: Sequence[str], library: Mapping[str, Effect], progress: Progress | None
+    home: Home, machine: str, names: Sequence[str], library: Mapping[str, Effect], progress: Progress
 ) -> dict[str, Any]:
     """Return the same without the champion, made anew; ``names``: its twins."""
     lake = Lake(home.lake)
@@ -145,8 +145,7 @@ def _history(
             point = Point(name, started, 0.0, 0.0, instrument_of(mine))
             add_figures(series, others, sheet, kind, record, point)
             add_sizes(series, sizes(home, name, stamp, twins), point)
-        if progress is not None:
-            progress(done, len(ordered), name)
+        progress(done, len(ordered), name)
     judged = judged_series([one for one in series.values() if len(one.points) > 1], record)
     last = max((row["started"] or "" for row in rows), default="")
     overview = _overview(home, machine, of_campaign, last, names)

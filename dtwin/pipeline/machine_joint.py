@@ -18,7 +18,7 @@ from dtwin.physics.joint import MachineTest, joint
 from dtwin.physics.library import Library
 from dtwin.pipeline.kept import kept, kept_already, stamp_of
 from dtwin.pipeline.machine_history import require_machine
-from dtwin.progress import Progress
+from dtwin.progress import Progress, silent
 from dtwin.report.joint import joint_lines
 from dtwin.twins.diagnosing_code import diagnosing_code
 from dtwin.twins.measured import load
@@ -30,7 +30,7 @@ def machine_joint(
     home: Home,
     machine: str,
     campaigns: Sequence[str] = (),
-    progress: Progress | None = None,
+    progress: Progress = silent,
     library: Mapping[str, Effect] | None = None,
 ) -> dict[str, Any]:
     """Return what tests of a machine find, each from nothing and all together, JSON-ready.
@@ -68,11 +68,7 @@ def _require_two(home: Home, machine: str, campaigns: Sequence[str]) -> None:
 
 
 def compared(
-    home: Home,
-    machine: str,
-    chosen: Mapping[str, _Rows],
-    library: Mapping[str, Effect],
-    progress: Progress | None = None,
+    home: Home, machine: str, chosen: Mapping[str, _Rows], library: Mapping[str, Effect], progress: Progress = silent
 ) -> dict[str, Any]:
     """Return what campaigns of a machine find, as :func:`machine_joint`; one is enough, and none is needed.
 
@@ -104,7 +100,7 @@ def _stamp(chosen: Mapping[str, _Rows], library: Mapping[str, Effect]) -> str:
 
 
 def _compared(
-    home: Home, machine: str, campaigns: Sequence[str], library: Mapping[str, Effect], progress: Progress | None
+    home: Home, machine: str, campaigns: Sequence[str], library: Mapping[str, Effect], progress: Progress
 ) -> dict[str, Any]:
     tests = []
     passed_over: dict[str, str] = {}
@@ -116,8 +112,7 @@ def _compared(
             continue
         started = min((meta.started or "" for meta in obs.runs), default="")
         tests.append(MachineTest(name, started, obs, diagnose(obs, [], library)))
-        if progress is not None:
-            progress(done, len(campaigns), name)
+        progress(done, len(campaigns), name)
     together = joint(tests, library)
     told = [
         {

@@ -21,7 +21,7 @@ from dtwin.pipeline.machine_history import record_of
 from dtwin.pipeline.machine_joint import compared, newest_tests
 from dtwin.pipeline.planned_tests import draft_of
 from dtwin.plan_file import planned_document
-from dtwin.progress import Progress
+from dtwin.progress import Progress, silent
 from dtwin.twins.measured import load
 
 _USUAL_AXES = "XYZ"
@@ -32,7 +32,7 @@ def machine_next(
     machine: str,
     allowed: Sequence[str] = (),
     minutes: float | None = None,
-    progress: Progress | None = None,
+    progress: Progress = silent,
     library: Mapping[str, Effect] | None = None,
 ) -> dict[str, Any]:
     """Return the tests that could be made next, JSON-ready, most bits per minute first.

@@ -21,7 +21,7 @@ from dtwin.features.windows import WindowContract, batch_features
 from dtwin.lake.parquet import table_of
 from dtwin.lake.store import Lake
 from dtwin.plan import Plan
-from dtwin.progress import Progress
+from dtwin.progress import Progress, silent
 from dtwin.train.inputs import BAND_HZ, HOP, WINDOW_FEATURES, WINDOW_SAMPLES
 
 
@@ -43,19 +43,17 @@ class FeatureReport:
     version: int
 
 
-def simulate(plan: Plan, out: Path, *, seed: int = 0, progress: Progress | None = None) -> CampaignRun:
+def simulate(plan: Plan, out: Path, *, seed: int = 0, progress: Progress = silent) -> CampaignRun:
     """Measure a plan on the virtual cobot, on the machine clock."""
     return run_campaign(plan, VirtualCobotBench(seed), out, progress)
 
 
-def ingest(
-    path: Path, home: Home, progress: Progress | None = None, told: Mapping[str, Any] | None = None
-) -> IngestReport:
+def ingest(path: Path, home: Home, progress: Progress = silent, told: Mapping[str, Any] | None = None) -> IngestReport:
     """Bring a campaign folder, a ball-bar file or a table that lies alone into the lake."""
     return ingest_path(path, Lake(home.lake), progress, told)
 
 
-def compute_features(home: Home, campaign: str, progress: Progress | None = None) -> FeatureReport:
+def compute_features(home: Home, campaign: str, progress: Progress = silent) -> FeatureReport:
     """Compute the signal features of every run and keep them in the lake.
 
     Features of a run are written once per window contract and content; a repeated call adds
@@ -90,8 +88,7 @@ def compute_features(home: Home, campaign: str, progress: Progress | None = None
             constant += int(np.count_nonzero(features.codes == 1))
             parts.append({"run": row["run_id"], "end_s": features.end_s, "values": flat})
             keys.append(row["content_sha256"])
-        if progress is not None:
-            progress(done, len(rows), row["run_id"])
+        progress(done, len(rows), row["run_id"])
     if contract is None:
         return FeatureReport(campaign, 0, 0, None, 0, 0, lake.tables["features"].version())
     counts = [len(part["end_s"]) for part in parts]  # type: ignore[arg-type]

@@ -17,7 +17,7 @@ from dtwin.kinds.registry import kind_named
 from dtwin.lake.rows import columns_sha256
 from dtwin.lake.store import Lake, RejectedRows
 from dtwin.physics.circular import bidirectional_figures
-from dtwin.progress import Progress
+from dtwin.progress import Progress, silent
 from dtwin.report.sheet import judged, sheet_lines
 from dtwin.report.text import circle_figure, counted, micrometres, table
 from dtwin.report.uncertainty import Circumstances, Variation
@@ -80,7 +80,7 @@ def sheet_of(
 
 def check_source(
     path: Path,
-    progress: Progress | None = None,
+    progress: Progress = silent,
     told: Mapping[str, Any] | None = None,
     tolerances: _Tolerances = _no_tolerances,
     surroundings: _Surroundings = _no_surroundings,
@@ -100,7 +100,7 @@ def check_source(
 def check_campaign(
     lake: Lake,
     name: str,
-    progress: Progress | None = None,
+    progress: Progress = silent,
     tolerances: _Tolerances = _no_tolerances,
     surroundings: _Surroundings = _no_surroundings,
 ) -> dict[str, Any]:
@@ -131,7 +131,7 @@ def _checked(
     campaign: Campaign,
     sources: Iterable[tuple[list[Run], list[RejectedRows]]],
     total: int,
-    progress: Progress | None,
+    progress: Progress,
     tolerances: _Tolerances,
     surroundings: _Surroundings,
 ) -> dict[str, Any]:
@@ -153,8 +153,7 @@ def _checked(
             results[-1]["rejected_rows"] = len(rows)
             used = max((run.n_samples for run in runs), default=0)
             results[-1]["findings"].append(_rejected(rows, used).as_dict())
-        if progress is not None:
-            progress(done, total, runs[0].meta.run_id if runs else "")
+        progress(done, total, runs[0].meta.run_id if runs else "")
     copies = pasted | judge_copies(samples)
     for result in results:
         if result["run"] in copies:

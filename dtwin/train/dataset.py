@@ -15,7 +15,7 @@ from dtwin.errors import InputError
 from dtwin.features.infeed import align_infeed
 from dtwin.features.motion import PATH_INPUTS, STATE_FIELDS, PathInputs
 from dtwin.lake.store import Lake
-from dtwin.progress import Progress
+from dtwin.progress import Progress, silent
 from dtwin.schema import PLANES, Campaign, Floats, Run, RunMeta, SignalGroup
 from dtwin.train.side_by_side import side_by_side
 
@@ -66,7 +66,7 @@ class TickRun:
 
 
 def load_ticks(
-    lake: Lake, campaign: Campaign, rows: Sequence[Mapping[str, Any]], progress: Progress | None = None
+    lake: Lake, campaign: Campaign, rows: Sequence[Mapping[str, Any]], progress: Progress = silent
 ) -> list[TickRun]:
     """Read runs and bring them to the controller's clock, in the order of the rows; progress is told by run id."""
     found: list[TickRun] = []
@@ -82,8 +82,7 @@ def load_ticks(
             begun.append(pool.submit(aligned, lake.load(row)))
             while begun and (len(begun) > _AHEAD or number == len(rows)):
                 found.append(begun.popleft().result())
-                if progress is not None:
-                    progress(len(found), len(rows), found[-1].meta.run_id)
+                progress(len(found), len(rows), found[-1].meta.run_id)
     return found
 
 

@@ -19,14 +19,14 @@ from dtwin.bucket import Objects
 from dtwin.config import Home
 from dtwin.errors import StoreError
 from dtwin.home_file import PLACES, Bucket
-from dtwin.progress import Progress
+from dtwin.progress import Progress, silent
 from dtwin.train.registry import Registry
 
 _ROWS = 1000
 _Row = dict[str, Any]
 
 
-def copy_registry(source: Home, target: Home, artifacts: str, progress: Progress | None = None) -> int:
+def copy_registry(source: Home, target: Home, artifacts: str, progress: Progress = silent) -> int:
     """Copy all of a registry's database and artifacts, and return how many rows; can be repeated.
 
     ``artifacts``: where the artifacts are going to lie when the copy is in force.
@@ -138,7 +138,7 @@ def _digests(reading: Connection, tables: list[Table], before: str, now: str) ->
     return digests
 
 
-def _copy_artifacts(source: Path | Bucket, target: Path | Bucket, progress: Progress | None) -> None:
+def _copy_artifacts(source: Path | Bucket, target: Path | Bucket, progress: Progress) -> None:
     names = _names(source)
     for done, name in enumerate(names, start=1):
         content = _read(source, name)
@@ -152,8 +152,7 @@ def _copy_artifacts(source: Path | Bucket, target: Path | Bucket, progress: Prog
                 raise StoreError(
                     "an artifact differs after it was copied", code="move.differs", where=f"{target}/{name}"
                 )
-        if progress is not None:
-            progress(done, len(names), name)
+        progress(done, len(names), name)
 
 
 def _names(place: Path | Bucket) -> list[str]:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from dtwin.errors import InputError
 from dtwin.features.motion import PATH_INPUTS
 from dtwin.lake.store import Lake
-from dtwin.progress import Progress
+from dtwin.progress import Progress, silent
 from dtwin.schema import Floats, Run
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.runtime import CompiledBundle
@@ -40,7 +40,7 @@ def circles_error(
     rows: Sequence[dict[str, Any]],
     bundle: Bundle,
     metrics: Mapping[str, float],
-    progress: Progress | None = None,
+    progress: Progress = silent,
 ) -> ChampionError:
     """Return a bundle's radial error over the marked windows, centre and radius of each set-up taken out.
 

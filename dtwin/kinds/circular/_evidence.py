@@ -19,7 +19,7 @@ from dtwin.kinds.machine import EvidenceRequest
 from dtwin.machines.cobot import CircleCondition, CobotRecording, RunTicks, VirtualCobot
 from dtwin.plan import DEFAULT_EVIDENCE, EvidencePlan, plan_within
 from dtwin.processes import end_with, processors
-from dtwin.progress import Progress
+from dtwin.progress import Progress, silent
 from dtwin.schema import Direction, Floats, Run
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.decision import Decision
@@ -37,12 +37,7 @@ _APART = timedelta(minutes=5)
 
 
 def measured_circles(
-    bundle: Bundle,
-    *,
-    seed: int,
-    tcp_mm: Floats,
-    plan: EvidencePlan = DEFAULT_EVIDENCE,
-    progress: Progress | None = None,
+    bundle: Bundle, *, seed: int, tcp_mm: Floats, plan: EvidencePlan = DEFAULT_EVIDENCE, progress: Progress = silent
 ) -> MeasuredWays:
     """Measure compensated, uncompensated and oracle circles on the virtual cobot.
 
@@ -66,8 +61,7 @@ def measured_circles(
                 ways["oracle" if way == "oracle" else "measured"].append(run)
                 counts += [guard] if way == "compensated" else []
             acted[condition_name(condition)] = guard_shares(counts)
-            if progress is not None:
-                progress(done, len(jobs), f"{plane} R{radius:g} F{feed:g}")
+            progress(done, len(jobs), f"{plane} R{radius:g} F{feed:g}")
     controller = VirtualCobot(seed=seed).parameters.controller
     return MeasuredWays(
         runs=numbered(
@@ -218,8 +212,7 @@ def checked_circles(request: EvidenceRequest, blocks: int, cobot: VirtualCobot) 
         )
         run = evaluate_circle(recording, direction) | {"block": block}
         by_condition[(plane, radius, feed), way].append(run)
-        if request.progress is not None:
-            request.progress(number + 1, len(order), f"{plane} R{radius:g} F{feed:g}, {way}")
+        request.progress(number + 1, len(order), f"{plane} R{radius:g} F{feed:g}, {way}")
     return [
         CheckedRun(plane, radius, feed, run["direction"], run["block"], way == "compensated", float(rms))
         for ((plane, radius, feed), way), runs in by_condition.items()

@@ -13,7 +13,7 @@ from dtwin.machines.mill import Correction, SetupErrors, VirtualMill
 from dtwin.machines.mill_drive import STEP_S, Command
 from dtwin.machines.mill_parameters import CircularTest, NoiseParameters
 from dtwin.plan import EvidencePlan
-from dtwin.progress import Progress
+from dtwin.progress import Progress, silent
 from dtwin.schema import PLANES, Direction, Floats, Plane, Run
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.direction import Direction as Frame
@@ -62,13 +62,7 @@ class ServedCorrection:
 
 
 def measured_mill(
-    bundle: Bundle,
-    make_mill: _MakeMill,
-    *,
-    seed: int,
-    plan: EvidencePlan,
-    delay_s: float,
-    progress: Progress | None = None,
+    bundle: Bundle, make_mill: _MakeMill, *, seed: int, plan: EvidencePlan, delay_s: float, progress: Progress = silent
 ) -> MeasuredWays:
     """Measure compensated, uncompensated and oracle circles on the virtual mill, interleaved.
 
@@ -97,8 +91,7 @@ def measured_mill(
             kept[group].append(replace(run, meta=meta))
         condition = {"plane": plane, "radius_mm": radius, "feed_mm_min": feed}
         acted[condition_name(condition)] = guard_shares(list(served.acted.values()))
-        if progress is not None:
-            progress(done, len(plan.conditions), f"{plane} R{radius:g} F{feed:g}")
+        progress(done, len(plan.conditions), f"{plane} R{radius:g} F{feed:g}")
     return MeasuredWays(
         runs=numbered(kept["measured"]),
         clock=CLOCK,

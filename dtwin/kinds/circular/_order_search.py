@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from dtwin.kinds.circular._library import FLANK_RAD, Gear, Mode
-from dtwin.progress import Progress
+from dtwin.progress import Progress, silent
 from dtwin.schema import Floats
 from dtwin.train.dataset import TickRun, input_column
 from dtwin.train.rows import Rows
@@ -19,9 +19,7 @@ _SMALLEST_GAIN = 0.01
 _MOST, _EVERY = 16, 2
 
 
-def find_gears(
-    rows: Rows, explained: Callable[[Sequence[Gear]], Floats], *, progress: Progress | None = None
-) -> list[Gear]:
+def find_gears(rows: Rows, explained: Callable[[Sequence[Gear]], Floats], *, progress: Progress = silent) -> list[Gear]:
     """Add one order of one joint after the other while the residual falls.
 
     Every order of every joint is correlated with the residual of the terms so far
@@ -45,8 +43,7 @@ def find_gears(
             break
         gears.append(Gear(int(j) + 1, float(fine[int(np.argmax(refined))])))
         residual = rows.target_um - explained(gears)
-        if progress is not None:
-            progress(step + 1, _MOST, f"joint {gears[-1].joint} order {gears[-1].order:g}")
+        progress(step + 1, _MOST, f"joint {gears[-1].joint} order {gears[-1].order:g}")
     return gears
 
 

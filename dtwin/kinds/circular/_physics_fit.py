@@ -13,7 +13,7 @@ from dtwin.errors import InputError
 from dtwin.kinds.circular._library import Gear, Library
 from dtwin.kinds.circular._order_search import find_gears, find_modes
 from dtwin.kinds.circular._term_columns import Sums, TermColumns, forward_order, solve, sums_of, total
-from dtwin.progress import Progress
+from dtwin.progress import Progress, silent
 from dtwin.schema import Floats
 from dtwin.statistics import rms
 from dtwin.train.rows import Rows, gather, thinned
@@ -62,7 +62,7 @@ class PhysicsFit:
     lag_shift_s: float
 
 
-def fit_physics(rows: Rows, columns: TermColumns | None = None, progress: Progress | None = None) -> PhysicsFit:
+def fit_physics(rows: Rows, columns: TermColumns | None = None, progress: Progress = silent) -> PhysicsFit:
     """Fit the library to a campaign.
 
     ``rows``: rows of all runs, aligned by motion.
@@ -126,7 +126,7 @@ def predicted_left_out(folds: Sequence[_LeftOut], progress: Progress) -> dict[st
 
 
 def _predicted(
-    rows: Rows, columns: TermColumns, inside: NDArray[np.bool_], outside: NDArray[np.bool_], step: Progress | None
+    rows: Rows, columns: TermColumns, inside: NDArray[np.bool_], outside: NDArray[np.bool_], step: Progress
 ) -> Floats:
     """Return the prediction of the rows outside by a fit to the rows inside."""
     fit = fit_physics(rows.only(inside), columns, step)
@@ -182,7 +182,7 @@ def _coefficients_out_rms(cells: _Cells, axis: int, chosen: Sequence[int]) -> fl
     return float(np.sqrt(max(squares, 0.0) / rows))
 
 
-def _search(rows: Rows, columns: TermColumns, progress: Progress | None) -> Library:
+def _search(rows: Rows, columns: TermColumns, progress: Progress) -> Library:
     """Return the library with the orders and modes that the rows, thinned ones, show."""
     equation = _Growing(rows, columns)
     gears = find_gears(rows, equation.explained, progress=progress)

@@ -24,7 +24,7 @@ from dtwin.kinds.circular._physics_fit import (
 )
 from dtwin.kinds.circular._term_columns import TermColumns
 from dtwin.lake.store import Lake
-from dtwin.progress import StageProgress
+from dtwin.progress import StageProgress, silent
 from dtwin.schema import Floats
 from dtwin.serve.builder import GraphBuilder
 from dtwin.serve.bundle import Bundle
@@ -53,7 +53,7 @@ def train_campaign(
     seed: int = 1,
     engine: Engine | None = None,
     recipes: Sequence[Recipe] = RECIPES,
-    progress: StageProgress | None = None,
+    progress: StageProgress = silent,
 ) -> Training:
     """Train every candidate on a campaign.
 
@@ -62,7 +62,6 @@ def train_campaign(
 
     ``engine``: free symbolic search; Operon by default.
     """
-    tell = progress or (lambda *_: None)
     campaign = lake.campaign(name)
     rows_ = [r for r in lake.runs(name) if r["n_errors"] == 0 and r["status"] == "complete"]
     if len({r["feed_mm_min"] for r in rows_}) < 2:
@@ -76,7 +75,7 @@ def train_campaign(
     versions = dict(lake.versions())
     geometry = campaign.machine_geometry
     horizon_s = float(geometry.get("correction_delay_s", 0.0))
-    runs = load_ticks(lake, campaign, rows_, lambda d, n, w: tell("align runs", d, n, w))
+    runs = load_ticks(lake, campaign, rows_, lambda d, n, w: progress("align runs", d, n, w))
     rows, columns = gather(runs), TermColumns(runs)
     compared = thinned(rows, _COMPARED_EVERY)
     with warnings.catch_warnings(), side_by_side() as (pool, step):
@@ -96,7 +95,7 @@ def train_campaign(
         usable = [r for r in recipes if r.columns != "sensor" or inputs.sensor.any()]
         jobs = [pool.submit(train_recipe, compared, inputs, recipe, seed) for recipe in usable]
         left_out = predicted_left_out(
-            folds, lambda d, n, w: tell("fit the whole, and without what is predicted", d, n, w)
+            folds, lambda d, n, w: progress("fit the whole, and without what is predicted", d, n, w)
         )
         fit = whole.result()
         scores = {group: score(rows, predicted, group) for group, predicted in left_out.items()}
@@ -105,7 +104,7 @@ def train_campaign(
         found = baselines(compared)
         for done, (job, recipe) in enumerate(zip(jobs, usable, strict=True), start=1):
             found.append(job.result())
-            tell("comparison models", done, len(usable), recipe.name)
+            progress("comparison models", done, len(usable), recipe.name)
         found.append(symbolic.result())
     found.append(
         _physics_candidate(fit, scores, fresh_um, campaign.machine, horizon_s=horizon_s, table_versions=versions)

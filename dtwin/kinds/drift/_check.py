@@ -13,7 +13,7 @@ from dtwin.kinds.drift._model import Fitted, Series, Term, steady
 from dtwin.kinds.drift._search import Step, missing
 from dtwin.kinds.drift._series import series_of, shifts, slips
 from dtwin.kinds.drift._standing import probe_standing
-from dtwin.progress import Progress
+from dtwin.progress import Progress, silent
 from dtwin.report.text import decimals, table
 from dtwin.schema import Finding, Run
 from dtwin.statistics import f_tail
@@ -185,7 +185,7 @@ def _unit(ratio: float) -> float:
     return next((unit for unit in _UNITS if abs(off - np.log(unit)) < np.log1p(_NEAR)), 0.0)
 
 
-def drift_figures(runs: Sequence[Run], progress: Progress | None = None) -> dict[str, Any]:
+def drift_figures(runs: Sequence[Run], progress: Progress = silent) -> dict[str, Any]:
     """Return what each log follows, JSON-ready: steady temperatures first, then what that lacks."""
     return {run.meta.run_id: _figures(run, progress) for run in runs}
 
@@ -211,7 +211,7 @@ def _row(name: str, model: Mapping[str, Any]) -> list[str]:
     return [name, f"{model['left_um']:z.2f}", f"{model['held_out_um']:z.2f}", f"{model['r2']:z.4f}", told]
 
 
-def _figures(run: Run, progress: Progress | None) -> dict[str, Any] | None:
+def _figures(run: Run, progress: Progress) -> dict[str, Any] | None:
     if any(f.severity == "error" for f in [*run.findings, *judge_drift(run)]):
         return None
     series = series_of(run)

@@ -15,7 +15,7 @@ from dtwin.errors import InputError
 from dtwin.kinds.drift._series import moved_um
 from dtwin.kinds.machine import require_no_campaign
 from dtwin.machines.warm_column import STEP_S, ColumnParameters, Day, WarmColumn
-from dtwin.progress import Progress
+from dtwin.progress import Progress, silent
 from dtwin.schema import Floats, Run, RunMeta
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.runtime import CompiledBundle
@@ -54,7 +54,7 @@ def drift_errors(runs: Sequence[Run]) -> list[RunError]:
     return out
 
 
-def measured_warm_ups(bundle: Bundle, truth: str, seed: int, progress: Progress | None = None) -> MeasuredWays:
+def measured_warm_ups(bundle: Bundle, truth: str, seed: int, progress: Progress = silent) -> MeasuredWays:
     """Warm the virtual column up on several days with a bundle, and on as many between without.
 
     Every day has its own hall, its own start and its own noise; no log of training was such a warm-up. The oracle knows how far
@@ -78,8 +78,7 @@ def measured_warm_ups(bundle: Bundle, truth: str, seed: int, progress: Progress 
             guards.append(guard)
         else:
             oracle.append(_run(column, day, np.zeros(day.t_s.size), number, drawn, ""))
-        if progress is not None:
-            progress(number + 1, 2 * _DAYS, "warm-ups")
+        progress(number + 1, 2 * _DAYS, "warm-ups")
     (name,) = {condition_name(error.condition) for error in drift_errors(runs)}
     return MeasuredWays(
         numbered(runs), _CLOCK, {"one state": STEP_S}, tuple(oracle), {name: guard_shares(guards)}, lambda _: False

@@ -20,7 +20,7 @@ from dtwin.kinds.drift._model import (
     with_each,
     without_each,
 )
-from dtwin.progress import Progress
+from dtwin.progress import Progress, silent
 from dtwin.schema import Floats
 from dtwin.statistics import gain_tail
 
@@ -44,7 +44,7 @@ class Step:
     p_value: float
 
 
-def missing(series: Series, base: Fitted, progress: Progress | None = None) -> list[Step]:
+def missing(series: Series, base: Fitted, progress: Progress = silent) -> list[Step]:
     """Return what a model of steady temperatures lacks, step by step: lags, curves of sensors, further sensors.
 
     The search begins with every sensor, as that of a twin does: beside a lag that is not yet there, a sensor that is needed
@@ -55,8 +55,7 @@ def missing(series: Series, base: Fitted, progress: Progress | None = None) -> l
     terms: tuple[Term, ...] = tuple(Term("steady", channel) for channel in series.temperatures_c)
     seen = {term.channel for term in base.terms}
     for done in range(MOST_RUNGS):
-        if progress is not None:
-            progress(done, MOST_RUNGS, f"search, {len(terms)} sensors")
+        progress(done, MOST_RUNGS, f"search, {len(terms)} sensors")
         best = next((one for one in additions(series, terms) if one.pays), None)
         gone = idle(series, terms) if best is None else ()
         if best is None and not gone:
@@ -71,8 +70,7 @@ def missing(series: Series, base: Fitted, progress: Progress | None = None) -> l
         said = f"{best.said} or {TIME_ALONE}" if best.is_as_time else best.said
         out.append(Step(model, said, best.gain, best.p_value))
         added.append(best.added.channel)
-    if progress is not None:
-        progress(MOST_RUNGS, MOST_RUNGS, "search")
+    progress(MOST_RUNGS, MOST_RUNGS, "search")
     last = {term.channel for term in out[-1].fitted.terms} if out else set()
     told: list[Step] = []
     for step, channel in zip(out, added, strict=True):

@@ -16,7 +16,7 @@ from dtwin.kinds.drift._model import Fitted, Series, held_out_um, steady
 from dtwin.kinds.drift._search import missing
 from dtwin.kinds.drift._series import moved_um, series_of
 from dtwin.lake.store import Lake
-from dtwin.progress import StageProgress
+from dtwin.progress import StageProgress, silent
 from dtwin.schema import Floats, Run
 from dtwin.serve.builder import Expression, GraphBuilder
 from dtwin.serve.bundle import Bundle
@@ -49,7 +49,7 @@ _NO_AXIS = 'no run, or not each, states which axis moved: condition = { axis = "
 
 
 def train_drift(
-    lake: Lake, name: str, *, seed: int = 1, engine: Engine | None = None, progress: StageProgress | None = None
+    lake: Lake, name: str, *, seed: int = 1, engine: Engine | None = None, progress: StageProgress = silent
 ) -> Training:
     """Train equations on the longest sound log, judged by stretches of time that were left out, and told on the others.
 
@@ -69,9 +69,8 @@ def train_drift(
         )
     runs = longest_first([lake.load(row) for row in rows])
     series = series_of(runs[0])
-    tell = progress or (lambda *_: None)
     base = steady(series)
-    tell("candidates", 1, 2, "temperatures at once")
+    progress("candidates", 1, 2, "temperatures at once")
     steps = missing(series, base)
     if not base.terms and not steps:
         raise InputError(
@@ -82,7 +81,7 @@ def train_drift(
             allowed="a displacement that follows a temperature",
             hint="dtwin check tells what is in the log",
         )
-    tell("candidates", 2, 2, "what that lacks")
+    progress("candidates", 2, 2, "what that lacks")
     forms = {"temperatures at once": base, **({"temperatures late": steps[-1].fitted} if steps else {})}
     (axis,) = axes
     made = [log_candidate(title, found, series, campaign.machine, axis, versions) for title, found in forms.items()]

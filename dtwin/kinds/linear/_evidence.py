@@ -18,7 +18,7 @@ from dtwin.kinds.linear._report import before_after_figures
 from dtwin.kinds.linear._simulate import laser_setup, motion_of_plan, reverse_at, verification_plan, virtual_lathe
 from dtwin.machines.lathe import LatheRecording, VirtualLathe
 from dtwin.positioning.matrix import LinearTest
-from dtwin.progress import Progress
+from dtwin.progress import Progress, silent
 from dtwin.schema import Floats, Run, RunMeta
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.safety import Guard
@@ -31,7 +31,7 @@ _TARGETS = 60
 
 
 def measured_days(
-    bundle: Bundle, logged: Mapping[str, float], truth: str, seed: int, progress: Progress | None = None
+    bundle: Bundle, logged: Mapping[str, float], truth: str, seed: int, progress: Progress = silent
 ) -> MeasuredWays:
     """Measure the mapped travel on several days with a bundle, and on as many between without.
 
@@ -56,8 +56,7 @@ def measured_days(
         served = looped(virtual_lathe(truth, first + 1), plan, bundle)
         runs.append(_run_of_test(served.test, plan.axis, 2 * day + 1, bundle.model_sha256))
         guards.append(served.guard)
-        if progress is not None:
-            progress(day + 1, _DAYS, "days")
+        progress(day + 1, _DAYS, "days")
     shares = guard_shares(guards)
     return MeasuredWays(
         numbered(runs),

@@ -13,7 +13,7 @@ from dtwin.physics.linear import linear_figures
 from dtwin.positioning.check import phases_of
 from dtwin.positioning.matrix import LinearTest
 from dtwin.positioning.sheet import evaluated_tests
-from dtwin.progress import Progress
+from dtwin.progress import Progress, silent
 from dtwin.report.text import counted, table
 from dtwin.report.uncertainty import Circumstances, Contribution, off_line_um
 from dtwin.schema import Floats, Run
@@ -62,7 +62,7 @@ def _cyclic_um(test: LinearTest) -> float | None:
     return max(amplitudes)
 
 
-def positioning_result(runs: Sequence[Run], progress: Progress | None = None) -> dict[str, Any]:
+def positioning_result(runs: Sequence[Run], progress: Progress = silent) -> dict[str, Any]:
     """Return the figures of a campaign's axis as a JSON-ready mapping; of several axes a list of such mappings under ``axes``.
 
     ``runs``: with their samples; those that the sheet leaves out, and those in one direction, are left out.

@@ -26,7 +26,7 @@ from dtwin.kinds.linear._models import (
 from dtwin.lake.store import Lake
 from dtwin.positioning.check import phases_of
 from dtwin.positioning.matrix import LinearTest, linear_test
-from dtwin.progress import StageProgress
+from dtwin.progress import StageProgress, silent
 from dtwin.schema import Floats
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.export import to_text
@@ -113,7 +113,7 @@ def serving_bundle(model: PositionModel, machine: str, screw: Screw, axis: str =
 
 
 def train_positioning(
-    lake: Lake, name: str, *, seed: int = 1, engine: Engine | None = None, progress: StageProgress | None = None
+    lake: Lake, name: str, *, seed: int = 1, engine: Engine | None = None, progress: StageProgress = silent
 ) -> Training:
     """Train every candidate on a positioning campaign.
 
@@ -122,11 +122,10 @@ def train_positioning(
 
     ``engine``: not used: no equation is searched for, their forms are given.
     """
-    tell = progress or (lambda *_: None)
     campaign, versions = lake.campaign(name), dict(lake.versions())
     test = _usable_test(lake, name)
     screw = screw_of(test, f"campaign {name}")
-    left = _held_out(test, screw, seed, tell)
+    left = _held_out(test, screw, seed, progress)
     floor = noise_floor_um(test)
     models = _fitted(averages_of(test), screw, seed)
     found = [
@@ -179,7 +178,7 @@ def _fitted(averages: Averages, screw: Screw, seed: int) -> dict[str, PositionMo
     }
 
 
-def _held_out(test: LinearTest, screw: Screw, seed: int, tell: StageProgress) -> dict[str, Floats]:
+def _held_out(test: LinearTest, screw: Screw, seed: int, progress: StageProgress) -> dict[str, Floats]:
     """Return what each model leaves of runs that it did not see, shape (2 targets, runs)."""
     direction, position, error = stacked(test)
     n = error.shape[1]
@@ -189,7 +188,7 @@ def _held_out(test: LinearTest, screw: Screw, seed: int, tell: StageProgress) ->
         for name, model in _fitted(averages, screw, seed).items():
             expected = model.error_um(direction, position)
             left.setdefault(name, []).append(error[:, run] - expected)
-        tell("runs left out", run + 1, n, f"run {run + 1}")
+        progress("runs left out", run + 1, n, f"run {run + 1}")
     return {name: np.column_stack(columns) for name, columns in left.items()}
 
 

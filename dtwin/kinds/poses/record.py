@@ -6,9 +6,9 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from dtwin.kinds.kind import Kind
+from dtwin.progress import Progress, silent
 
 if TYPE_CHECKING:
-    from dtwin.progress import Progress
     from dtwin.schema import Run
 
 
@@ -51,7 +51,7 @@ class _Poses(Kind):
         "twin_report": "_twin_report",
     }
 
-    def campaign_figures(self, runs: Sequence[Run], progress: Progress | None = None) -> Mapping[str, Any]:
+    def campaign_figures(self, runs: Sequence[Run], progress: Progress = silent) -> Mapping[str, Any]:
         from dtwin.kinds.poses._check import problem_of
         from dtwin.kinds.poses._iso9283 import figures
 

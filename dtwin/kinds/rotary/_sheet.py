@@ -13,7 +13,7 @@ from dtwin.physics.linear import linear_figures
 from dtwin.positioning.check import judge_positioning_campaign, tests_by_axis
 from dtwin.positioning.matrix import TARGET_MM, LinearTest
 from dtwin.positioning.sheet import evaluated_tests
-from dtwin.progress import Progress
+from dtwin.progress import Progress, silent
 from dtwin.report.text import counted
 from dtwin.report.uncertainty import Circumstances, Contribution
 from dtwin.schema import Finding, Run
@@ -83,7 +83,7 @@ def judge_campaign(runs: Sequence[Run]) -> list[Finding]:
     return found
 
 
-def positioning_result(runs: Sequence[Run], progress: Progress | None = None) -> list[dict[str, Any]]:
+def positioning_result(runs: Sequence[Run], progress: Progress = silent) -> list[dict[str, Any]]:
     """Return the figures of each axis that was approached from both sides, JSON-ready, in seconds of arc."""
     out = []
     for test in evaluated_tests(runs, ANGLES):

@@ -14,7 +14,7 @@ from dtwin.kinds.rotation._laws import CONSTANT, RESONANCE, SPEED, SQUARE, TIME,
 from dtwin.kinds.rotation._orders import Order
 from dtwin.kinds.rotation._runout import run_outs, runout_sentences
 from dtwin.kinds.rotation._speeds import OverSpeed, Point, next_speed, over_speed, points_of
-from dtwin.progress import Progress
+from dtwin.progress import Progress, silent
 from dtwin.report.text import decimals, table
 from dtwin.schema import Finding, Floats, Run
 from dtwin.units import shown_number
@@ -252,7 +252,7 @@ def run_figures(run: Run) -> dict[str, Any]:
     return {"rotation": _figures(points[0])} if points else {}
 
 
-def rotation_figures(runs: Sequence[Run], progress: Progress | None = None) -> dict[str, Any]:
+def rotation_figures(runs: Sequence[Run], progress: Progress = silent) -> dict[str, Any]:
     """Return what probes follow over speed, JSON-ready."""
     return {
         "over_speed": [

@@ -26,7 +26,7 @@ from dtwin.kinds.sinusoidal._groups import (
 )
 from dtwin.kinds.sinusoidal._laws import Law, power_law, printed_form, searched, two_modes
 from dtwin.lake.store import Lake
-from dtwin.progress import StageProgress
+from dtwin.progress import StageProgress, silent
 from dtwin.schema import Floats
 from dtwin.serve.export import to_text
 from dtwin.statistics import rms
@@ -312,7 +312,7 @@ class _Narx:
 
 
 def train_tones(
-    lake: Lake, name: str, *, seed: int = 1, engine: Engine | None = None, progress: StageProgress | None = None
+    lake: Lake, name: str, *, seed: int = 1, engine: Engine | None = None, progress: StageProgress = silent
 ) -> Training:
     """Train every candidate on a campaign of tones.
 
@@ -320,15 +320,14 @@ def train_tones(
 
     ``engine``: free symbolic search; Operon by default.
     """
-    tell = progress or (lambda *_: None)
     campaign, versions = lake.campaign(name), dict(lake.versions())
     everything = load_tone_groups(lake, lake.runs(name))
     groups = heard_groups(everything)
-    tell("features of the first 5 s", 1, 1, f"{groups.n} of {everything.n} groups")
+    progress("features of the first 5 s", 1, 1, f"{groups.n} of {everything.n} groups")
     laws = law_candidates(groups, campaign.machine, engine, seed, versions)
-    tell("equations", 1, 1, "")
+    progress("equations", 1, 1, "")
     others = compared_candidates(groups, seed)
-    tell("comparison models", 1, 1, "")
+    progress("comparison models", 1, 1, "")
     found = sorted([*laws, *others], key=lambda c: c.held_out.rms_um)
     (floor, freedom), told = noise_floor_um(groups), what_was_seen(everything)
     if not np.isnan(floor):

@@ -25,7 +25,7 @@ from dtwin.machines.turning import (
     Slide,
     TurningSlide,
 )
-from dtwin.progress import Progress
+from dtwin.progress import Progress, silent
 from dtwin.schema import Floats, Run, RunMeta
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.divergence import DivergenceWatch
@@ -45,7 +45,7 @@ _RECORDED_S = 4.0
 _AMPLITUDE_UM = SLOPE_UM_PER_MM * RIM_MM
 
 
-def measured_tones(bundle: Bundle, truth: str, *, seed: int, progress: Progress | None = None) -> MeasuredWays:
+def measured_tones(bundle: Bundle, truth: str, *, seed: int, progress: Progress = silent) -> MeasuredWays:
     """Swing the tool at each frequency several times with and without a bundle, by turns."""
     slide = virtual_slide(truth)
     runs: list[Run] = []
@@ -60,8 +60,7 @@ def measured_tones(bundle: Bundle, truth: str, *, seed: int, progress: Progress 
                 if way:
                     counts[condition_name(run.meta.condition)].append(record.guard)
                 runs.append(run)
-        if progress is not None:
-            progress(repeat + 1, _REPEATS, "tones")
+        progress(repeat + 1, _REPEATS, "tones")
     return MeasuredWays(
         numbered(runs),
         CLOCK,

@@ -26,7 +26,7 @@ from dtwin.machines.turning import (
     Slide,
     TurningSlide,
 )
-from dtwin.progress import Progress
+from dtwin.progress import Progress, silent
 from dtwin.schema import Floats, Run, RunMeta, SignalGroup
 
 # Of probe, encoder and accelerometer.
@@ -41,7 +41,7 @@ def write_tone_campaign(
     truth: str,
     name: str,
     machine: str,
-    shown: tuple[Progress | None, int] = (None, 0),
+    shown: tuple[Progress, int] = (silent, 0),
     *,
     corrected: bool = False,
 ) -> None:
@@ -58,8 +58,7 @@ def write_tone_campaign(
         write_parquet(folder / f"{stem}.parquet", table_of(run.samples))
         write_signals(folder / f"{stem}.accelerometers.parquet", run.signals[0])
         measured.append(run.meta)
-        if progress is not None:
-            progress(number, count, stem)
+        progress(number, count, stem)
     write_toml(folder / "truth.toml", told, "the truth")
     geometry = {
         "type": "turning",
@@ -262,7 +261,7 @@ def simulate_turning(
     quick: bool = False,
     grid: Grid | None = None,
     plan: TonePlan | None = None,
-    progress: Progress | None = None,
+    progress: Progress = silent,
 ) -> int:
     """Measure a campaign of tones; return the number of groups.
 

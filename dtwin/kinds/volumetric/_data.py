@@ -18,6 +18,7 @@ from dtwin.kinds.volumetric._identify import FIXED_POSE, Artefact, Balls, Settle
 from dtwin.kinds.volumetric._session import REFERENCE_CYCLES, Session, session_in
 from dtwin.kinds.volumetric.motions import HeatTerm
 from dtwin.lake.store import Lake
+from dtwin.progress import silent
 from dtwin.schema import Floats
 from dtwin.statistics import chi2_tail
 
@@ -93,7 +94,7 @@ class HeatCampaign:
 
 
 def _loaded(lake: Lake, name: str, wanted: Sequence[str]) -> HeatLoaded:
-    measured = session_in(lake, name, lambda *_: None)
+    measured = session_in(lake, name, silent)
     names, settled = _identified(measured, wanted)
     strokes = measured.artefact.strokes_mm
     units = tuple(design(where.position_mm, strokes, names) for where, _ in measured.moved)

@@ -14,7 +14,7 @@ from dtwin.kinds.volumetric._identify import Balls
 from dtwin.kinds.volumetric._session import REFERENCE_CYCLES, Session, session_in
 from dtwin.kinds.volumetric._thermal_model import ThermalModel, independent
 from dtwin.lake.store import Lake
-from dtwin.progress import Progress
+from dtwin.progress import Progress, silent
 from dtwin.schema import Floats
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.runtime import CompiledBundle
@@ -29,7 +29,7 @@ _FEWEST_CYCLES = 8
 _CLOCK = "measured without it, the prediction taken off afterwards"
 
 
-def volumetric_evidence(home: Home, version: RegisteredVersion, *, progress: Progress | None = None) -> Evidence:
+def volumetric_evidence(home: Home, version: RegisteredVersion, *, progress: Progress = silent) -> Evidence:
     """Judge a registered version by every other ball-array campaign of its machine in the lake.
 
     Campaigns during which a correction was in force judge nothing: they have been corrected already.
@@ -51,8 +51,7 @@ def volumetric_evidence(home: Home, version: RegisteredVersion, *, progress: Pro
             hint="measure under another schedule and ingest it: dtwin simulate --machine volumetric "
             "--schedule validation --out summer",
         )
-    tell = progress or (lambda *_: None)
-    conditions = [c for name in others for c in _judged_hours(bundle, session_in(lake, name, tell))]
+    conditions = [c for name in others for c in _judged_hours(bundle, session_in(lake, name, progress))]
     runs = [
         {
             "way": WITHOUT,

@@ -44,7 +44,7 @@ class _WarmMill(VirtualMachine):
         truth, schedule = request.options["truth"], request.options["schedule"]
         return ServedMill(request.plan, truth, schedule, request.seed, quick=request.quick)
 
-    def prediction(self, home: Home, version: RegisteredVersion, progress: Progress | None) -> Evidence:
+    def prediction(self, home: Home, version: RegisteredVersion, progress: Progress) -> Evidence:
         from dtwin.kinds.volumetric._evidence import volumetric_evidence
 
         return volumetric_evidence(home, version, progress=progress)

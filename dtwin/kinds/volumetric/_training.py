@@ -15,7 +15,7 @@ from dtwin.kinds.volumetric._evidence import changes_left_um, corrections, dista
 from dtwin.kinds.volumetric._session import Session, session_in
 from dtwin.kinds.volumetric._thermal_model import ThermalModel, fit_thermal
 from dtwin.lake.store import Lake
-from dtwin.progress import Progress, StageProgress
+from dtwin.progress import Progress, StageProgress, silent
 from dtwin.schema import Floats
 from dtwin.serve.builder import Expression, GraphBuilder
 from dtwin.serve.bundle import Bundle
@@ -34,7 +34,7 @@ _Fit = Callable[[str, Floats, Floats, Sequence[str]], ThermalModel]
 
 
 def train_volumetric(
-    lake: Lake, name: str, *, seed: int = 1, engine: Engine | None = None, progress: StageProgress | None = None
+    lake: Lake, name: str, *, seed: int = 1, engine: Engine | None = None, progress: StageProgress = silent
 ) -> Training:
     """Train every candidate on a ball-array campaign.
 
@@ -44,13 +44,12 @@ def train_volumetric(
     ``seed``: logged; nothing here is random.
     ``engine``: not used: no equation is searched for.
     """
-    tell = progress or (lambda *_: None)
     campaign, versions = lake.campaign(name), dict(lake.versions())
-    measured = session_in(lake, name, lambda done, total, what: tell("identify", done, total, what))
+    measured = session_in(lake, name, lambda done, total, what: progress("identify", done, total, what))
     found = []
     for done, (title, fit) in enumerate(_FITS.items(), start=1):
         found.append(_candidate(title, fit, measured, campaign.machine))
-        tell("candidates", done, len(_FITS), title)
+        progress("candidates", done, len(_FITS), title)
     found.sort(key=lambda c: c.held_out.rms_um)
     before, floor = (changes_left_um(measured, values) for values in (np.zeros_like(measured.values), measured.values))
     equations = [c for c in found if c.promotable]
@@ -320,14 +319,14 @@ def _profile(
 
 
 def heat_error(
-    lake: Lake, rows: Sequence[dict[str, Any]], bundle: Bundle, metrics: object, progress: Progress | None = None
+    lake: Lake, rows: Sequence[dict[str, Any]], bundle: Bundle, metrics: object, progress: Progress = silent
 ) -> ChampionError:
     """Return a bundle's error in the changes of distances since the first cycles, as training states it.
 
     The floor is what the identified error motions leave themselves.
     """
     name = str(rows[0]["campaign"])
-    measured = session_in(lake, name, progress or (lambda *_: None))
+    measured = session_in(lake, name, progress)
     if len(rows) != len(measured.hour):
         raise InputError(
             "the cycles of a campaign share their reference and are judged together",

@@ -262,7 +262,7 @@ def test_an_equation_is_trained_gated_and_served_or_it_is_said_why_not(
             measured.said("train", measured.campaign)
         return
     obstacle = kind.training_obstacle(lake.runs(measured.campaign))
-    train = partial(kind.training(), lake, measured.campaign, seed=1, engine=Stub(), progress=None)
+    train = partial(kind.training(), lake, measured.campaign, seed=1, engine=Stub())
     if obstacle:
         with pytest.raises(InputError) as refused:
             train()
