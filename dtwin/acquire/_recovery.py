@@ -111,14 +111,10 @@ def covariates_of(path: Path) -> dict[str, float]:
 
     Raises ``StoreError`` when the file cannot be read.
     """
-    try:
+    with _readable(path):
         head = json.loads((pq.read_schema(path).metadata or {}).get(_SIGNALS_KEY, b"{}"))
         names = [str(name) for name in (head.get("notes") or {}).get("covariates", [])]
         table = pq.read_table(path, columns=names) if names else None
-    except (OSError, pa.ArrowException, ValueError, TypeError, AttributeError) as error:
-        raise StoreError(
-            "a signal file is missing or damaged", code="store.damaged", where=str(path), got=str(error)[:200]
-        ) from error
     covariates = {}
     for name in names:
         assert table is not None
@@ -134,13 +130,19 @@ def signal_findings(path: Path) -> tuple[Finding, ...]:
 
     ``path``: Parquet file; one without such a header has no findings.
     """
-    try:
+    with _readable(path):
         metadata = pq.read_schema(path).metadata or {}
         head = json.loads(metadata.get(_SIGNALS_KEY, b"{}"))
         gaps = tuple(_Gap(int(a), int(n), str(why)) for a, n, why in head.get("gaps", []))
         findings = _findings(bool(head.get("complete", True)), gaps, float(head.get("rate_hz", 1.0)))
         return (*findings, *_event_findings(head.get("events", []), float(head.get("length_s", 0.0))))
-    except (OSError, pa.ArrowException, ValueError, TypeError) as error:
+
+
+@contextmanager
+def _readable(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except (OSError, pa.ArrowException, ValueError, TypeError, AttributeError) as error:
         raise StoreError(
             "a signal file is missing or damaged", code="store.damaged", where=str(path), got=str(error)[:200]
         ) from error

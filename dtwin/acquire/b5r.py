@@ -251,25 +251,28 @@ def write_b5r(path: Path, runs: Sequence[Run], *, name: str, machine: str) -> No
 
 
 def _run_lines(run: Run) -> list[str]:
-    if run.window is None:
-        raise InputError("a run without a marked arc cannot be written", code="b5r.no_window")
+    first, end = _marked(run)
     readings = run.samples["deviation_um"] / 1000.0
     return [
         "<BALLBAR_RUN>",
         f"<RUN_DIRECTION>{run.meta.direction}</RUN_DIRECTION>",
         f"<RUN_TEMPERATURE>{run.meta.covariates.get('temperature_c', 20.0)}</RUN_TEMPERATURE>",
-        f"<START_INDEX>{run.window[0] + 1}</START_INDEX>",
-        f"<END_INDEX>{run.window[1]}</END_INDEX>",
+        f"<START_INDEX>{first + 1}</START_INDEX>",
+        f"<END_INDEX>{end}</END_INDEX>",
         f"<SAMPLE_RATE>{run.meta.sample_rate_hz}</SAMPLE_RATE>",
         "<READINGS>" + " ".join(f"{value:+z.5f}" for value in readings) + "</READINGS>",
         "</BALLBAR_RUN>",
     ]
 
 
-def _arc_length_deg(run: Run) -> float:
+def _marked(run: Run) -> tuple[int, int]:
     if run.window is None:
         raise InputError("a run without a marked arc cannot be written", code="b5r.no_window")
-    start, end = run.window
+    return run.window
+
+
+def _arc_length_deg(run: Run) -> float:
+    start, end = _marked(run)
     angle = run.samples["angle_deg"]
     step = abs(float(angle[end - 1] - angle[start])) / (end - 1 - start)
     return step * (end - start)

@@ -8,6 +8,9 @@ from dtwin.plan import PlannedTest, arc_deg
 from dtwin.schema import Direction
 
 _FEED_IN_MM = 1.5
+# Of a UR: the centre of the circles in the base frame, and the length of the tool along the flange's z.
+_UR_CENTRE_MM = (-550.0, 0.0, 75.0)
+_UR_TCP_MM = 158.3
 NO_DIAMETERS = "(X is the travel of the slide: on a lathe switch diameter programming off)"
 """Comment of a program that may run on a lathe, where X may be a diameter."""
 _WORD = {"XY": ("G17", "X", "Y", "I", "J"), "YZ": ("G19", "Y", "Z", "J", "K"), "ZX": ("G18", "Z", "X", "K", "I")}
@@ -59,32 +62,24 @@ def _half_turn(test: PlannedTest, direction: Direction, code: str) -> list[str]:
     ]
 
 
-def urscript(
-    test: PlannedTest,
-    directions: tuple[Direction, ...] = ("CCW", "CW"),
-    *,
-    centre_mm: tuple[float, float, float] = (-550.0, 0.0, 75.0),
-    tcp_mm: float = 158.3,
-) -> str:
+def urscript(test: PlannedTest, directions: tuple[Direction, ...] = ("CCW", "CW")) -> str:
     """Return the ball-bar program for a UR robot, by three-point half circles.
 
     Not yet run on a controller. The path data that a serving loop needs are written to output
     registers before each half circle.
 
     ``directions``: directions in the order they are run.
-    ``centre_mm``: ball-bar centre in the base frame.
-    ``tcp_mm``: length of the tool along the flange's z.
     """
     axes = {"XY": (0, 1), "YZ": (1, 2), "ZX": (2, 0)}[test.plane]
     speed = test.feed_mm_min / 60_000.0
 
     def pose(angle_deg: float, radius_mm: float) -> str:
-        point = [c / 1000.0 for c in centre_mm]
+        point = [c / 1000.0 for c in _UR_CENTRE_MM]
         point[axes[0]] += radius_mm / 1000.0 * math.cos(math.radians(angle_deg))
         point[axes[1]] += radius_mm / 1000.0 * math.sin(math.radians(angle_deg))
         return f"p[{point[0]:z.6f},{point[1]:z.6f},{point[2]:z.6f},3.141593,0,0]"
 
-    lines = [f"def {test.test_id}():", f"  set_tcp(p[0,0,{tcp_mm / 1000.0:z.4f},0,0,0])"]
+    lines = [f"def {test.test_id}():", f"  set_tcp(p[0,0,{_UR_TCP_MM / 1000.0:z.4f},0,0,0])"]
     for direction in directions:
         sign = 1 if direction == "CCW" else -1
         begin = 0.0 if test.plane == "XY" else (-5.0 if sign > 0 else 185.0)

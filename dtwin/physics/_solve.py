@@ -22,15 +22,12 @@ class Solution:
 
     ``x``, (k,): smallest solution when the columns are dependent.
     ``condition``: ratio of the largest singular value of the scaled columns to the smallest one kept.
-    ``triangle``, (k, k): R of the QR decomposition: R^T R is the normal matrix, never formed.
     ``null_space``, (k, k - rank): combinations of the scaled columns that vanish.
     """
 
     x: Floats
     rank: int
     condition: float
-    residual_rms: float
-    triangle: Floats
     null_space: Floats
 
 
@@ -49,15 +46,13 @@ def solve_blocks(blocks: Iterable[tuple[Floats, Floats]]) -> Solution:
         Langou 2012, tall-skinny QR). Only one block and some triangles are in memory.
     """
     levels: list[list[Floats]] = []
-    n = 0
     for columns, right in blocks:
-        n += len(columns)
         _add(levels, 0, _triangle([columns], right))
-    if n == 0:
+    if not levels:
         raise InputError("there is nothing to fit", code="fit.empty")
     triangle = _triangle([t for level in levels for t in level])
     k = triangle.shape[1] - 1
-    return _solved(triangle[:k, :k], triangle[:k, k], float(triangle[k, k]), n)
+    return _solved(triangle[:k, :k], triangle[:k, k])
 
 
 def in_blocks(columns: Floats, right: Floats) -> Iterable[tuple[Floats, Floats]]:
@@ -91,7 +86,7 @@ def _triangle(parts: Sequence[Floats], right: Floats | None = None) -> Floats:
     return np.asarray(np.triu(factored[:width]))
 
 
-def _solved(triangle: Floats, right: Floats, left: float, n: int) -> Solution:
+def _solved(triangle: Floats, right: Floats) -> Solution:
     size = np.sqrt((triangle**2).sum(axis=0))
     scale = np.where(size > 0.0, size, 1.0)
     u, values, vt = np.linalg.svd(triangle / scale)
@@ -102,12 +97,6 @@ def _solved(triangle: Floats, right: Floats, left: float, n: int) -> Solution:
     else:
         # A column of nothing has nothing, and not what rounding leaves of it.
         x = np.where(size > 0.0, vt[keep].T @ ((u.T @ right)[keep] / values[keep]) / scale, 0.0)
-    lost = float(((u.T @ right)[~keep] ** 2).sum())
     return Solution(
-        x=x,
-        rank=rank,
-        condition=float(values[0] / values[keep][-1]) if rank else float("inf"),
-        residual_rms=float(np.sqrt((left**2 + lost) / n)),
-        triangle=triangle,
-        null_space=vt[~keep].T,
+        x=x, rank=rank, condition=float(values[0] / values[keep][-1]) if rank else float("inf"), null_space=vt[~keep].T
     )

@@ -144,11 +144,6 @@ class Knowledge:
         self._planned = [self._whole(information) for information in foreseen]
 
     @property
-    def unknowns(self) -> tuple[Unknown, ...]:
-        """What any of the tests sees."""
-        return tuple(self._index)
-
-    @property
     def untold(self) -> tuple[Unknown, ...]:
         """What the measured tests do not tell to half of its ordinary size."""
         spread = _spread(self._before)

@@ -6,11 +6,12 @@ import numpy as np
 
 from dtwin.schema import Floats
 
+_MOST_LINES = 5
 _BANDS_HZ = ((0.0, 1.0), (1.0, 2.0), (2.0, 5.0), (5.0, 8.0), (8.0, 12.0), (12.0, 20.0), (20.0, 40.0), (40.0, 100.0))
 
 
 def strongest_lines(
-    signal_um: Floats, rate_hz: float, count: int = 5
+    signal_um: Floats, rate_hz: float
 ) -> tuple[list[tuple[float, float]], list[tuple[float, float, float]]]:
     """Return the strongest spectral lines and the RMS of fixed bands.
 
@@ -26,18 +27,16 @@ def strongest_lines(
     amplitude = 2.0 * np.abs(np.fft.rfft(centred * window)) / window.sum()
     inner = amplitude[1:-1]
     peaks = 1 + np.flatnonzero((inner > amplitude[:-2]) & (inner >= amplitude[2:]))
-    strongest = peaks[np.argsort(-amplitude[peaks])][:count]
+    strongest = peaks[np.argsort(-amplitude[peaks])][:_MOST_LINES]
     lines = [_refined(amplitude, int(k), rate_hz / n) for k in strongest]
     return lines, _band_rms_um(signal_um, rate_hz)
 
 
-def _band_rms_um(
-    signal_um: Floats, rate_hz: float, bands_hz: tuple[tuple[float, float], ...] = _BANDS_HZ
-) -> list[tuple[float, float, float]]:
+def _band_rms_um(signal_um: Floats, rate_hz: float) -> list[tuple[float, float, float]]:
     """Return (from_hz, to_hz, rms_um) of each band; by Parseval their squares add up.
 
     ``signal_um``, (n,): the signal.
-    ``bands_hz``: lower bound included, upper excluded except at half the sample rate; the mean is left out.
+    Lower bounds are included, upper ones excluded except at half the sample rate; the mean is left out.
     """
     n = signal_um.size
     power = np.abs(np.fft.rfft(signal_um - signal_um.mean())) ** 2 * 2.0 / n**2
@@ -46,7 +45,7 @@ def _band_rms_um(
     frequency = np.fft.rfftfreq(n, 1.0 / rate_hz)
     nyquist_hz = rate_hz / 2.0
     found = []
-    for low, high in bands_hz:
+    for low, high in _BANDS_HZ:
         top = min(high, nyquist_hz)
         below = frequency <= top if top == nyquist_hz else frequency < top
         if low < nyquist_hz:

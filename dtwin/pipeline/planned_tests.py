@@ -240,22 +240,20 @@ def _place(home: Home, name: str) -> Path:
 
 def drop_plan(home: Home, name: str) -> None:
     """Take a plan back; the campaign that answered it stays."""
-    path = _place(home, name)
-    if not path.exists():
-        raise InputError("no such plan", code="plan.unknown", got=name, allowed=_names(home))
-    path.unlink()
+    _kept(home, name).unlink()
 
 
 def kept_plan(home: Home, name: str) -> dict[str, Any]:
     """Return a plan that was kept, as TOML is read."""
+    return read_plan_file(_kept(home, name))
+
+
+def _kept(home: Home, name: str) -> Path:
     path = _place(home, name)
     if not path.exists():
-        raise InputError("no such plan", code="plan.unknown", got=name, allowed=_names(home))
-    return read_plan_file(path)
-
-
-def _names(home: Home) -> str:
-    return ", ".join(sorted(path.stem for path in home.plans.glob("*.toml"))) or "none"
+        names = ", ".join(sorted(path.stem for path in home.plans.glob("*.toml")))
+        raise InputError("no such plan", code="plan.unknown", got=name, allowed=names or "none")
+    return path
 
 
 def kept_plans(home: Home, machine: str) -> list[dict[str, Any]]:
