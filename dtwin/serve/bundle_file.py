@@ -87,16 +87,15 @@ def replaced(path: Path, sha256: str) -> Path:
     return path.with_name(f"{path.stem}.{sha256[:12]}{path.suffix}")
 
 
-def load_bundle(path: Path, machine: str | None = None, contract: WindowContract | None = None) -> CompiledBundle:
+def load_bundle(path: Path, machine: str | None = None) -> CompiledBundle:
     """Read, check and prove a bundle, and compile it.
 
     Args:
         machine: Machine that will be served; a bundle of another one is refused.
-        contract: What the sensors deliver; another contract is refused.
 
     Raises:
         InputError: When the file is missing, malformed, too large or was changed.
-        GateRefusal: When it belongs to another machine or contract, or its test vectors do not hold here.
+        GateRefusal: When it belongs to another machine, or its test vectors do not hold here.
     """
     bundle = Bundle.from_dict(read_json(path, MAX_BYTES))
     if machine is not None and bundle.machine != machine:
@@ -106,15 +105,6 @@ def load_bundle(path: Path, machine: str | None = None, contract: WindowContract
             where=str(path),
             got=bundle.machine,
             allowed=machine,
-        )
-    if contract is not None and bundle.window is not None and bundle.window != contract:
-        differs = [k for k, v in bundle.window.to_dict().items() if contract.to_dict()[k] != v]
-        raise GateRefusal(
-            "the sensors do not deliver what the model was trained on",
-            code="bundle.contract",
-            where=str(path),
-            got=", ".join(f"{k} = {contract.to_dict()[k]}" for k in differs)[:300],
-            allowed=", ".join(f"{k} = {bundle.window.to_dict()[k]}" for k in differs)[:300],
         )
     prove(bundle)
     return CompiledBundle(bundle)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import math
 from pathlib import Path
@@ -10,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from bundles import CONTRACT, path_bundle, sensor_bundle
+from bundles import path_bundle, sensor_bundle
 
 from dtwin.errors import DtwinError, GateRefusal, InputError, StoreError
 from dtwin.serve.builder import GraphBuilder
@@ -122,18 +121,11 @@ def test_test_vectors_of_another_shape_are_not_proved(tmp_path: Path, change: An
         load_bundle(path)
 
 
-def test_other_machine_and_other_contract_are_refused(tmp_path: Path) -> None:
+def test_a_bundle_of_another_machine_is_refused(tmp_path: Path) -> None:
     path = saved(tmp_path, sensor_bundle())
     with pytest.raises(GateRefusal, match="another machine") as refusal:
         load_bundle(path, "cobot-b")
     assert refusal.value.exit_code == 3
-    other = dataclasses.replace(CONTRACT, rate_hz=10240.0)
-    with pytest.raises(GateRefusal, match="trained on") as refusal:
-        load_bundle(path, "cobot-a", other)
-    assert "10240" in (refusal.value.got or "")
-    swapped = dataclasses.replace(CONTRACT, channels=CONTRACT.channels[::-1])
-    with pytest.raises(GateRefusal, match="trained on"):
-        load_bundle(path, "cobot-a", swapped)
 
 
 @pytest.mark.parametrize(
