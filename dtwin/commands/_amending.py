@@ -11,9 +11,9 @@ from dtwin.config import home
 from dtwin.errors import InputError
 
 _CampaignName = Annotated[str, typer.Argument(help="Campaign in the lake.")]
-Runs = Annotated[list[str], typer.Argument(help="Run ids.")]
-Because = Annotated[str, typer.Option(help="Why; it is kept and printed.")]
-Who = Annotated[str, typer.Option(help="Who says so; else the user of this computer.")]
+_Runs = Annotated[list[str], typer.Argument(help="Run ids.")]
+_Because = Annotated[str, typer.Option(help="Why; it is kept and printed.")]
+_Who = Annotated[str, typer.Option(help="Who says so; else the user of this computer.")]
 
 app = typer.Typer()
 
@@ -25,8 +25,8 @@ def amend(
         list[str] | None, typer.Option("--set", help="FIELD=VALUE as in campaign.toml, such as radius_mm=150.")
     ] = None,
     run: Annotated[list[str] | None, typer.Option(help="Only this run; may be repeated.")] = None,
-    because: Because = "",
-    who: Who = "",
+    because: _Because = "",
+    who: _Who = "",
     as_json: Json = False,
 ) -> None:
     """State anew what was stated wrongly of a campaign; raw values never change.
@@ -44,7 +44,7 @@ def amend(
 
 
 @app.command("leave-out")
-def leave_out(campaign: _CampaignName, runs: Runs, because: Because, who: Who = "", as_json: Json = False) -> None:
+def leave_out(campaign: _CampaignName, runs: _Runs, because: _Because, who: _Who = "", as_json: Json = False) -> None:
     """Leave runs out of every figure, twin, report and training; nothing is deleted."""
     _left_out(campaign, runs, because, who, out=True, as_json=as_json)
 
@@ -52,9 +52,9 @@ def leave_out(campaign: _CampaignName, runs: Runs, because: Because, who: Who = 
 @app.command()
 def restore(
     campaign: _CampaignName,
-    runs: Runs,
-    because: Because = "they are needed after all",
-    who: Who = "",
+    runs: _Runs,
+    because: _Because = "they are needed after all",
+    who: _Who = "",
     as_json: Json = False,
 ) -> None:
     """Take runs in again that were left out."""

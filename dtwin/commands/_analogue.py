@@ -12,8 +12,8 @@ from dtwin.commands._output import Json, emit
 from dtwin.errors import InputError
 from dtwin.report.text import table
 
-Port = Annotated[str, typer.Argument(help="Serial port of the board, like /dev/ttyACM0.")]
-Calibration = Annotated[Path | None, typer.Option("--calibration", help="What dtwin analogue calibrate wrote.")]
+_Port = Annotated[str, typer.Argument(help="Serial port of the board, like /dev/ttyACM0.")]
+_Calibration = Annotated[Path | None, typer.Option("--calibration", help="What dtwin analogue calibrate wrote.")]
 
 app = typer.Typer(
     name="analogue",
@@ -61,7 +61,7 @@ def _is_elf(path: Path) -> bool:
 
 
 @app.command("status")
-def status(port: Port, as_json: Json = False) -> None:
+def status(port: _Port, as_json: Json = False) -> None:
     """Ask the board how it is."""
     from dtwin.links.analogue import AnalogueOutput
 
@@ -82,10 +82,10 @@ def status(port: Port, as_json: Json = False) -> None:
 
 @app.command("hold")
 def hold(
-    port: Port,
+    port: _Port,
     offset: Annotated[str, typer.Option(help="x,y,z in µm, like 25,0,0.")],
     seconds: Annotated[float, typer.Option(help="How long.")] = 10.0,
-    calibration: Calibration = None,
+    calibration: _Calibration = None,
     pwm: Annotated[bool, typer.Option("--pwm", help="The eight-bit output.")] = False,
 ) -> None:
     """Hold a correction, for measuring what it does; the board goes neutral afterwards."""

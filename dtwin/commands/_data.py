@@ -25,13 +25,13 @@ Radius = Annotated[float | None, typer.Option(help="Of such a table: programmed 
 Feed = Annotated[float | None, typer.Option(help="Of such a table: programmed feed, mm/min.")]
 Direction = Annotated[str | None, typer.Option(help="Of such a table: CCW or CW; else as the angle runs.")]
 Axis = Annotated[str | None, typer.Option(help="Of a positioning table: the axis, such as X, or C of a rotary one.")]
-Pitch = Annotated[
+_Pitch = Annotated[
     float | None,
     typer.Option(
         help="Of a positioning table: travel in a turn of the screw, mm, 0 with a linear scale; else as the machine's record says."
     ),
 ]
-Instrument = Annotated[
+_Instrument = Annotated[
     str | None, typer.Option(help="Of a report with readings of several: which, as the report calls it.")
 ]
 Kind = Annotated[
@@ -87,8 +87,8 @@ def check(
     feed: Feed = None,
     direction: Direction = None,
     axis: Axis = None,
-    pitch: Pitch = None,
-    instrument: Instrument = None,
+    pitch: _Pitch = None,
+    instrument: _Instrument = None,
     kind: Kind = None,
     setup: Setup = None,
     repeat: Repeat = None,
@@ -142,8 +142,8 @@ def ingest(
     feed: Feed = None,
     direction: Direction = None,
     axis: Axis = None,
-    pitch: Pitch = None,
-    instrument: Instrument = None,
+    pitch: _Pitch = None,
+    instrument: _Instrument = None,
     kind: Kind = None,
     setup: Setup = None,
     repeat: Repeat = None,

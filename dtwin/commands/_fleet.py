@@ -18,15 +18,15 @@ if TYPE_CHECKING:
     from dtwin.fleet.jobs import Job
     from dtwin.fleet.run import FleetRun
 
-Machines = Annotated[list[str] | None, typer.Option("--machine", help="May be repeated; all without.")]
-On = Annotated[
+_Machines = Annotated[list[str] | None, typer.Option("--machine", help="May be repeated; all without.")]
+_On = Annotated[
     str | None,
     typer.Option(help="local, or a Dask scheduler: dask://host:port here, dask+tls://host:port; else DTWIN_ENGINE."),
 ]
 _Workers = Annotated[
     int | None, typer.Option(min=1, max=1024, help="Processes of local, one a processor; 1 works in line.")
 ]
-Seed = Annotated[int, typer.Option(min=0, help="Seed of what is drawn.")]
+_Seed = Annotated[int, typer.Option(min=0, help="Seed of what is drawn.")]
 
 app = typer.Typer(
     name="fleet", cls=FleetCommands, no_args_is_help=True, help="The same for many machines, on one computer or many."
@@ -34,7 +34,7 @@ app = typer.Typer(
 
 
 @app.command()
-def diagnose(machine: Machines = None, on: On = None, workers: _Workers = None, as_json: Json = False) -> None:
+def diagnose(machine: _Machines = None, on: _On = None, workers: _Workers = None, as_json: Json = False) -> None:
     """Find from nothing what the runs of every campaign can tell; what was diagnosed before is passed over."""
     from dtwin.fleet.jobs import DIAGNOSE
 
@@ -43,7 +43,7 @@ def diagnose(machine: Machines = None, on: On = None, workers: _Workers = None, 
 
 @app.command()
 def train(
-    machine: Machines = None, on: On = None, workers: _Workers = None, seed: Seed = 1, as_json: Json = False
+    machine: _Machines = None, on: _On = None, workers: _Workers = None, seed: _Seed = 1, as_json: Json = False
 ) -> None:
     """Train on the newest campaign of every machine that has new runs, and register; nothing is promoted."""
     from dtwin.fleet.jobs import TRAIN
@@ -53,11 +53,11 @@ def train(
 
 @app.command()
 def recheck(
-    machine: Machines = None,
+    machine: _Machines = None,
     days: Annotated[float, typer.Option(min=0.0, help="Pass over champions that were checked since.")] = 1.0,
-    on: On = None,
+    on: _On = None,
     workers: _Workers = None,
-    seed: Seed = 0,
+    seed: _Seed = 0,
     as_json: Json = False,
 ) -> None:
     """Measure every machine with and without its champion again, and withdraw those that harm."""
@@ -69,10 +69,10 @@ def recheck(
 @app.command()
 def nightly(
     folder: Annotated[Path | None, typer.Option(help="Where new measurements arrive.")] = None,
-    machine: Machines = None,
-    on: On = None,
+    machine: _Machines = None,
+    on: _On = None,
     workers: _Workers = None,
-    seed: Seed = 0,
+    seed: _Seed = 0,
     as_json: Json = False,
 ) -> None:
     """Take in what arrived, diagnose what is new, check champions, and tell what is late, failed or changed."""
@@ -108,7 +108,7 @@ def nightly(
 
 
 @app.command()
-def show(machine: Machines = None, as_json: Json = False) -> None:
+def show(machine: _Machines = None, as_json: Json = False) -> None:
     """Show the newest diagnosis of every machine, the worst first; also while diagnose is at work."""
     from dtwin.fleet.alerts import fleet_view
 
@@ -132,7 +132,7 @@ def show(machine: Machines = None, as_json: Json = False) -> None:
 @app.command("sisters")
 def sister_machines(
     type: Annotated[str, typer.Option(help="Machines whose record states this type (dtwin machine add --type).")] = "",
-    machine: Machines = None,
+    machine: _Machines = None,
     as_json: Json = False,
 ) -> None:
     """Compare machines of one type by figures of their newest tests and sizes of faults: what is usual, and which one differs."""

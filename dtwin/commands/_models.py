@@ -29,7 +29,7 @@ def _short(comment: str) -> str:
     return comment
 
 
-Comment = Annotated[str, typer.Option(help="Why; kept in the history.", callback=_short)]
+_Comment = Annotated[str, typer.Option(help="Why; kept in the history.", callback=_short)]
 
 app = typer.Typer()
 
@@ -182,7 +182,7 @@ def promote(
         list[str] | None, typer.Option(help="Evidence on record that speaks against it, by name; kept in the history.")
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the virtual machine.")] = 0,
-    comment: Comment = "",
+    comment: _Comment = "",
     valid_days: Annotated[
         float, typer.Option(min=0.0, max=36_500.0, help="How long the evidence holds; 0: for ever.")
     ] = 0.0,
@@ -233,7 +233,7 @@ def promote(
 
 
 @app.command()
-def rollback(machine: Machine = None, comment: Comment = "", as_json: Json = False) -> None:
+def rollback(machine: Machine = None, comment: _Comment = "", as_json: Json = False) -> None:
     """Bar the champion and go back to the one before it; without one nothing is served."""
     from dtwin.train.promotion import rollback as go_back
     from dtwin.train.registry import Registry

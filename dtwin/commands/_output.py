@@ -39,23 +39,23 @@ def require_report(html: Path | None, language: str) -> None:
 def emit(payload: Mapping[str, Any], text: Callable[[], str], *, as_json: bool) -> None:
     """Print a result. ``text``: makes the readable form; called only when it is wanted."""
     if as_json:
-        print(json.dumps(clean(payload), indent=2, default=str))
+        print(json.dumps(_clean(payload), indent=2, default=str))
     else:
         print(printable(text()))
 
 
-def clean(value: Any) -> Any:
+def _clean(value: Any) -> Any:
     """Return the value with NaN and infinities as null, which JSON knows, and no size that the runs do not tell."""
     if isinstance(value, float) and not math.isfinite(value):
         return None
     if isinstance(value, Mapping):
         if value.get("identifiable") is False:
             value = {**value, "value": None, "uncertainty": None}
-        return {str(k): clean(v) for k, v in value.items()}
+        return {str(k): _clean(v) for k, v in value.items()}
     if isinstance(value, list | tuple):
-        return [clean(v) for v in value]
+        return [_clean(v) for v in value]
     if hasattr(value, "item") and getattr(value, "ndim", 1) == 0:
-        return clean(value.item())
+        return _clean(value.item())
     return value
 
 

@@ -14,12 +14,12 @@ from dtwin.report.text import table
 app = typer.Typer(
     name="people", no_args_is_help=True, help="Who may do what at the workbench, and the record of who did."
 )
-Name = Annotated[str, typer.Argument(help="Stands under what the person does.")]
+_Name = Annotated[str, typer.Argument(help="Stands under what the person does.")]
 
 
 @app.command()
 def add(
-    name: Name,
+    name: _Name,
     role: Annotated[list[str], typer.Option(help="look, measure, train, promote or stop; several times for several.")],
     as_json: Json = False,
 ) -> None:
@@ -51,7 +51,7 @@ def list_people(as_json: Json = False) -> None:
 
 
 @app.command()
-def remove(name: Name, as_json: Json = False) -> None:
+def remove(name: _Name, as_json: Json = False) -> None:
     """Take a person's token away, at once; the name stays in the record."""
     from dtwin.people import remove_person
 

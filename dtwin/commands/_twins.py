@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from dtwin.twins.of_kind import AnyTwins
 
 Name = Annotated[str, typer.Argument(help="Name of the twin.")]
-Axis = Annotated[str, typer.Option(help="One axis, plane or joint; all of them without.")]
-Seed = Annotated[int, typer.Option(min=0, help="Seed of permutations.")]
+_Axis = Annotated[str, typer.Option(help="One axis, plane or joint; all of them without.")]
+_Seed = Annotated[int, typer.Option(min=0, help="Seed of permutations.")]
 
 app = typer.Typer(
     name="twin",
@@ -102,7 +102,7 @@ def compare_twin(
 
 @app.command("diagnose")
 def diagnose_twin(
-    name: Name, seed: Seed = 0, html: Report = None, effects_path: Paths = None, as_json: Json = False
+    name: Name, seed: _Seed = 0, html: Report = None, effects_path: Paths = None, as_json: Json = False
 ) -> None:
     """Name the effect that is missing, or say why it cannot be named."""
     from dtwin.pipeline.kept import moving_findings
@@ -128,7 +128,7 @@ def diagnose_twin(
 def add_effect(
     name: Name,
     effect: Annotated[str, typer.Argument(help="Name of the effect.")],
-    axis: Axis = "",
+    axis: _Axis = "",
     effects_path: Paths = None,
     as_json: Json = False,
 ) -> None:
@@ -141,7 +141,7 @@ def add_effect(
 def remove_effect(
     name: Name,
     effect: Annotated[str, typer.Argument(help="Name of the effect.")],
-    axis: Axis = "",
+    axis: _Axis = "",
     effects_path: Paths = None,
     as_json: Json = False,
 ) -> None:
@@ -163,7 +163,7 @@ def restore_version(
 
 
 @app.command("discover")
-def discover_effects(name: Name, seed: Seed = 0, effects_path: Paths = None, as_json: Json = False) -> None:
+def discover_effects(name: Name, seed: _Seed = 0, effects_path: Paths = None, as_json: Json = False) -> None:
     """Find all effects that these runs can tell, and add them one by one."""
     from dtwin.physics.diagnosis import LEAST_GAIN
     from dtwin.physics.twin import Twin
@@ -202,7 +202,7 @@ def discover_effects(name: Name, seed: Seed = 0, effects_path: Paths = None, as_
 @app.command("learn")
 def learn_effect(
     name: Name,
-    seed: Seed = 0,
+    seed: _Seed = 0,
     symbolic: Annotated[bool, typer.Option("--symbolic", help="A formula by symbolic regression instead.")] = False,
     as_map: Annotated[bool, typer.Option("--map", help="A map of what is the same at every feed instead.")] = False,
     effects_path: Paths = None,
@@ -234,7 +234,7 @@ def correct_machine(
         str | None, typer.Option("--on", help="Whose path is corrected, of a twin of several campaigns.")
     ] = None,
     trial: Annotated[bool, typer.Option("--trial", help="Although it is not confirmed: for a trial only.")] = False,
-    seed: Seed = 0,
+    seed: _Seed = 0,
     effects_path: Paths = None,
     as_json: Json = False,
 ) -> None:

@@ -10,7 +10,7 @@ from dtwin.errors import InputError
 from dtwin.lake.rows import OF_CAMPAIGN, differences, run_row
 from dtwin.schema import Campaign, Run, require_name
 
-Rows = Mapping[str, dict[str, Any]]
+_Rows = Mapping[str, dict[str, Any]]
 
 
 def accepted(campaign: Campaign, runs: Sequence[Run]) -> dict[str, dict[str, Any]]:
@@ -41,7 +41,7 @@ def accepted(campaign: Campaign, runs: Sequence[Run]) -> dict[str, dict[str, Any
     )
 
 
-def fresh(campaign: str, known: Rows, rows: Rows) -> dict[str, dict[str, Any]]:
+def fresh(campaign: str, known: _Rows, rows: _Rows) -> dict[str, dict[str, Any]]:
     """Return the rows that are not in the lake.
 
     ``known``: its rows in the lake by run id, as they are stated now.
@@ -99,7 +99,7 @@ def _amended_by(stored: Mapping[str, Any], row: Mapping[str, Any]) -> str:
     return " ".join([*(f"--set '{name}={json.dumps(value)}'" for name, value in anew.items()), "--because WHY"])
 
 
-def require_same_statements(campaign: Campaign, known: Rows) -> None:
+def require_same_statements(campaign: Campaign, known: _Rows) -> None:
     """Refuse a folder that states its machine or instrument otherwise than when it was ingested; amended campaigns may differ.
 
     ``known``: rows of the campaign in the lake by run id.

@@ -16,7 +16,7 @@ from dtwin.schema import Encoded, Run
 _FILE_BYTES = 8 * 2**20
 
 
-class Part(NamedTuple):
+class _Part(NamedTuple):
     """Columns to write: path inside the table without ending, columns, and the bytes that they were read from."""
 
     stem: str
@@ -31,7 +31,7 @@ class Batch:
     file is kept as that was.
     """
 
-    def __init__(self, table: DeltaFiles, parts: Sequence[Part]) -> None:
+    def __init__(self, table: DeltaFiles, parts: Sequence[_Part]) -> None:
         self.table = table
         self._parts = [(part, table_of(part.columns)) for part in parts]
         self._schema = table.accepted([rows.schema for _, rows in self._parts])
@@ -39,7 +39,7 @@ class Batch:
 
     def write(self) -> list[str]:
         """Write the files; return what :meth:`DeltaFiles.read_file` finds each part by."""
-        files: list[list[tuple[Part, pa.Table]]] = []
+        files: list[list[tuple[_Part, pa.Table]]] = []
         for part, rows in self._parts:
             if files and _fits(files[-1], part, rows):
                 files[-1].append((part, rows))
@@ -52,7 +52,7 @@ class Batch:
         if self._written:
             self.table.commit(self._written, self._schema)
 
-    def _names(self, file: Sequence[tuple[Part, pa.Table]]) -> list[str]:
+    def _names(self, file: Sequence[tuple[_Part, pa.Table]]) -> list[str]:
         """Write one file; return the names of its parts."""
         tables = [rows for _, rows in file]
         part, more = file[0][0], len(file) - 1
@@ -63,23 +63,23 @@ class Batch:
         return [f"{written.name}#{k}" for k in range(len(file))] if more else [written.name]
 
 
-def samples_part(run: Run, row: Mapping[str, Any]) -> Part:
+def samples_part(run: Run, row: Mapping[str, Any]) -> _Part:
     """Return the samples of a run; ``row``: of the table of runs."""
-    return Part(f"{row['campaign']}/{run.meta.run_id}", run.samples)
+    return _Part(f"{row['campaign']}/{run.meta.run_id}", run.samples)
 
 
-def signal_parts(run: Run, row: Mapping[str, Any]) -> list[Part]:
+def signal_parts(run: Run, row: Mapping[str, Any]) -> list[_Part]:
     """Return each group of signals of a run; ``row`` as above."""
     stem = f"{row['campaign']}/{run.meta.run_id}"
-    return [Part(f"{stem}-{group.name}", group.columns, group.encoded) for group in run.signals]
+    return [_Part(f"{stem}-{group.name}", group.columns, group.encoded) for group in run.signals]
 
 
-def _is_as_read(part: Part) -> bool:
+def _is_as_read(part: _Part) -> bool:
     """Tell whether the columns of a part were not replaced since they were read."""
     return part.encoded is not None and part.encoded.columns is part.columns
 
 
-def _fits(file: Sequence[tuple[Part, pa.Table]], part: Part, rows: pa.Table) -> bool:
+def _fits(file: Sequence[tuple[_Part, pa.Table]], part: _Part, rows: pa.Table) -> bool:
     """Tell whether a part may lie in a file beside those that are there."""
     first, there = file[0]
     size = sum(other.nbytes for _, other in file) + rows.nbytes

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from dtwin.links import state as layout
 
-Floats = NDArray[np.float64]
+_Floats = NDArray[np.float64]
 
 _STATE_COUNT, _CORRECTION_COUNT = 0, 1
 _COUNTERS_N = 8
@@ -54,25 +54,25 @@ class SharedMemory:
         self._state[-1] = received_s
         self._counters[_STATE_COUNT] += 1
 
-    def read_state(self, into: Floats) -> int:
+    def read_state(self, into: _Floats) -> int:
         """Copy the newest state and its time to ``into``, shape (N + 1,); return its number.
 
         0 when there is none, or the driver did not keep still.
         """
         return self._read(_STATE_COUNT, self._state, into)
 
-    def write_correction(self, sequence: int, offset_um: Floats) -> None:
+    def write_correction(self, sequence: int, offset_um: _Floats) -> None:
         """Publish a correction."""
         self._counters[_CORRECTION_COUNT] += 1
         self._correction[layout.REGISTER_SEQUENCE] = sequence
         self._correction[layout.REGISTER_OFFSET :] = offset_um
         self._counters[_CORRECTION_COUNT] += 1
 
-    def read_correction(self, into: Floats) -> int:
+    def read_correction(self, into: _Floats) -> int:
         """Copy the newest correction to ``into``, shape (4,); return its number, 0 for none."""
         return self._read(_CORRECTION_COUNT, self._correction, into)
 
-    def _read(self, counter: int, source: Floats, into: Floats) -> int:
+    def _read(self, counter: int, source: _Floats, into: _Floats) -> int:
         for _ in range(_TRIES):
             before = self._counters[counter]
             into[:] = source

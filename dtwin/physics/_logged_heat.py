@@ -14,14 +14,14 @@ _OF_LOGGED = 0.97
 _SCALE = "scale"
 
 
-def follows_logged(effect: Effect, beside: Effect) -> bool:
+def _follows_logged(effect: Effect, beside: Effect) -> bool:
     """Tell whether an effect follows a temperature that another one does not know."""
     return any(name.endswith("_c") for name in set(effect.needs) - set(beside.needs))
 
 
 def as_good_as_logged(top: Candidate, other: Candidate) -> bool:
     """Tell whether a rival explains what an effect does but for what the temperatures that were logged may be off."""
-    follows = follows_logged(other.term.instance.effect, top.term.instance.effect)
+    follows = _follows_logged(other.term.instance.effect, top.term.instance.effect)
     return follows and other.score.gain > _OF_LOGGED * top.score.gain
 
 
@@ -35,7 +35,7 @@ def logged_instead(
     effect, axis = top.term.instance.effect, top.term.instance.axis
     have = {c.term.label for c in group}
     alike = [i for i in candidates.instances if i.effect.name in effect.confusables and i.axis == axis]
-    logged = [Term(i) for i in alike if i.label not in have and follows_logged(i.effect, effect)]
+    logged = [Term(i) for i in alike if i.label not in have and _follows_logged(i.effect, effect)]
     if not axis or not effect.within_condition or not logged:
         return (), []
     scale = [Term(i) for i in candidates.instances if i.effect.cause == _SCALE and axis in i.axis]

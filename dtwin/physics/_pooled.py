@@ -132,7 +132,7 @@ def determined(parts: Sequence[Part], maps: Sequence[Floats]) -> NDArray[np.bool
 
 
 @dataclass(frozen=True)
-class Spread:
+class _Spread:
     """Standard uncertainty of what was fitted, with its degrees of freedom; shape (total,) each."""
 
     standard: Floats
@@ -145,7 +145,7 @@ class Spread:
         return np.asarray(self.standard * np.array(factors))
 
 
-def spread(parts: Sequence[Part], maps: Sequence[Floats], x: Floats, inverse: Floats) -> Spread:
+def spread(parts: Sequence[Part], maps: Sequence[Floats], x: Floats, inverse: Floats) -> _Spread:
     """Return how uncertain a common fit is: every campaign adds what its own runs scatter by.
 
     The unit of replication is the run; where the laws miss more than the noise, it is the condition. Degrees of freedom of
@@ -156,7 +156,7 @@ def spread(parts: Sequence[Part], maps: Sequence[Floats], x: Floats, inverse: Fl
     least = np.sum([v**2 / d for v, d in each], axis=0)
     with np.errstate(invalid="ignore", divide="ignore"):
         dof = np.where(least > 0.0, variance**2 / least, np.nan)
-    return Spread(np.sqrt(variance), np.asarray(dof))
+    return _Spread(np.sqrt(variance), np.asarray(dof))
 
 
 def wider(part: Part, x: Floats, of: NDArray[np.bool_]) -> float:
@@ -178,7 +178,7 @@ def wider(part: Part, x: Floats, of: NDArray[np.bool_]) -> float:
 
 
 @dataclass(frozen=True)
-class Scatter:
+class _Scatter:
     """What the runs of a campaign scatter by, and what that does to the common parameters.
 
     ``influence``, (rows, n, total): of each whitened reading; ``left``, (rows, n): what the fit leaves.
@@ -193,7 +193,7 @@ class Scatter:
     misses: bool
 
 
-def scatter(part: Part, to_own: Floats, x: Floats, inverse: Floats) -> Scatter:
+def scatter(part: Part, to_own: Floats, x: Floats, inverse: Floats) -> _Scatter:
     """Return what a campaign adds to the covariance of the common parameters by what its runs scatter by."""
     obs, noise = part.obs, part.problem.noise
     influence = ((part.columns * part.root**2) @ (to_own @ inverse)).reshape(obs.n_rows, obs.n_bins, -1)
@@ -201,7 +201,7 @@ def scatter(part: Part, to_own: Floats, x: Floats, inverse: Floats) -> Scatter:
     if noise is None:
         # Nothing was repeated: what is left counts as noise of whole runs.
         runs = _by_run(obs, np.einsum("nqk,nq->nk", influence, left))
-        return Scatter(influence, left, np.asarray(runs.T @ runs), float(max(len(runs) - 1, 1)), False)
+        return _Scatter(influence, left, np.asarray(runs.T @ runs), float(max(len(runs) - 1, 1)), False)
     deviation, count = within_condition(left, obs.condition_of)
     runs = _by_run(obs, np.einsum("nqk,nq->nk", influence, deviation))
     clustered = runs.T @ runs * obs.n_rows / (count > 1).sum()
@@ -211,10 +211,10 @@ def scatter(part: Part, to_own: Floats, x: Floats, inverse: Floats) -> Scatter:
     coloured = (coloured * np.sqrt(of_condition[obs.condition_of])[:, None, None]).reshape(-1, coloured.shape[2])
     dof = float(noise.dof) + level.prior_dof
     covariance = (noise.dof * clustered + level.prior_dof * level.ratio * coloured.T @ coloured) / dof
-    return Scatter(influence, left, np.asarray(covariance), dof, bool(misses))
+    return _Scatter(influence, left, np.asarray(covariance), dof, bool(misses))
 
 
-def missed(part: Part, seen: Scatter) -> Floats:
+def missed(part: Part, seen: _Scatter) -> Floats:
     """Return what the means of conditions miss, alike along the path, shape (total, total); the condition is the unit."""
     obs = part.obs
     means = condition_sums(seen.left, obs.condition_of) / np.bincount(obs.condition_of)[:, None]
@@ -242,7 +242,7 @@ def _by_run(obs: Observations, scores: Floats) -> Floats:
     return runs
 
 
-def _by_condition(part: Part, seen: Scatter) -> Floats:
+def _by_condition(part: Part, seen: _Scatter) -> Floats:
     """Return the variance with the condition as the unit: what the mean of each misses, and what it scatters by."""
     coherent, number = np.diag(missed(part, seen)), len(part.obs.conditions)
     if number < _FEWEST:

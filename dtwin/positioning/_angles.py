@@ -101,11 +101,11 @@ def of_angles(rows: Sequence[Sequence[str]]) -> bool:
     heads, below = rows[0], rows[1] if len(rows) > 1 else ()
     targets = [i for i, head in enumerate(heads) if names_target(head)]
     cells = [row[i].strip() for i in targets for row in (heads, below) if i < len(row)]
-    told = any(is_angle(cell) or _ANGLE_HEAD.match(cell.removeprefix(NAMED)) for cell in cells)
+    told = any(_is_angle(cell) or _ANGLE_HEAD.match(cell.removeprefix(NAMED)) for cell in cells)
     return told and not any(map(is_length, (*heads, *below)))
 
 
-def is_angle(cell: str) -> bool:
+def _is_angle(cell: str) -> bool:
     """Return whether a cell tells a unit of angle that is surely one: ``"`` alone may be one of length."""
     return ANGLE.search(cell) is not None or (_in_angles(cell) and '"' not in cell)
 
@@ -122,4 +122,4 @@ def tells_angles(rows: Sequence[Sequence[str]]) -> bool:
 
 def names_angles(title: str) -> bool:
     """Return whether a title tells a unit of angle; ``20.3 °`` is one value of something."""
-    return is_angle(title) and re.search(r"\d\s*°", title) is None
+    return _is_angle(title) and re.search(r"\d\s*°", title) is None

@@ -276,7 +276,7 @@ def require_deviations(
                 )
 
 
-def require_sign(titles: Sequence[str], path: Path) -> None:
+def _require_sign(titles: Sequence[str], path: Path) -> None:
     """Refuse a table with a title or head which says that errors are nominal minus actual, or with corrections."""
     if opposite := next((text for text in titles if is_opposite(text) or _TURNED.match(text)), ""):
         raise _of_other_sign(opposite, path)
@@ -287,7 +287,7 @@ def factor_of(head: str, below: str, path: Path, scale: Scale) -> float:
 
     ``below``: the unit as the row below the heads tells it.
     """
-    require_sign([head], path)
+    _require_sign([head], path)
     unit = plain_unit(told_unit(head, below))
     if scale.turn and unit in LENGTHS.units:
         raise of_other_unit(scale, path, f"{head.strip()} {below.strip()}".strip()[:60])

@@ -51,7 +51,7 @@ _FIGURES = {
 }
 # Of a figure: what a report may lose by rounding its readings.
 _ROUNDED = 0.005
-DIFFERENCE = re.compile(r"\bdiff", re.I)
+_DIFFERENCE = re.compile(r"\bdiff", re.I)
 _CYCLES = re.compile(r"cycle|zyklus|\b(run|lauf)\b", re.I)
 _SERIES = re.compile(
     r"\W*(messreihe|serie|série|series|run|cycle|zyklus|lauf|test|messung|measurement|essai|prova|prueba)\W*(n[or]\W*)?\d+\W*",
@@ -61,7 +61,7 @@ _SERIES = re.compile(
 
 
 @dataclass(frozen=True)
-class ReportTable:
+class _ReportTable:
     """A table of readings: its head, in words that a plain table has, and its rows.
 
     ``read_with``, ``title``: the instrument, as its columns call it, and the heading above.
@@ -72,7 +72,7 @@ class ReportTable:
     title: str = ""
 
 
-def report_tables(text: str, rows: Sequence[Sequence[str]]) -> list[ReportTable]:
+def report_tables(text: str, rows: Sequence[Sequence[str]]) -> list[_ReportTable]:
     """Return the tables of readings of a text in Markdown, or of one with a table for each direction; none when it is neither.
 
     ``rows``: those of the text.
@@ -80,7 +80,7 @@ def report_tables(text: str, rows: Sequence[Sequence[str]]) -> list[ReportTable]
     return _of_markdown(text) or _of_each_way(rows)
 
 
-def _of_each_way(rows: Sequence[Sequence[str]]) -> list[ReportTable]:
+def _of_each_way(rows: Sequence[Sequence[str]]) -> list[_ReportTable]:
     """Return the tables below titles of a single cell that name the directions; none where there are no two."""
     parts: list[tuple[str, list[list[str]]]] = [("", [])]
     for row in rows:
@@ -104,7 +104,7 @@ def _of_each_way(rows: Sequence[Sequence[str]]) -> list[ReportTable]:
     return _of_each_sweep(told) or list(tables)
 
 
-def _of_each_sweep(told: Sequence[tuple[str, Sequence[Sequence[str]]]]) -> list[ReportTable]:
+def _of_each_sweep(told: Sequence[tuple[str, Sequence[Sequence[str]]]]) -> list[_ReportTable]:
     """Return as one the tables of a row a reading below titles such as ``Messreihe 1 vorwärts``; none where they are of another form."""
     heads = told[0][1][0]
     long = long_of(heads)
@@ -122,10 +122,10 @@ def _of_each_sweep(told: Sequence[tuple[str, Sequence[Sequence[str]]]]) -> list[
         units = body[1:2] if len(body) > 1 and is_row_of_units(body[1], long.target) else []
         rows += [["", "", *unit] for unit in units if not rows]
         rows += [[str(way), cycle, *row] for row in without_remarks(heads, body[1 + len(units) :], long.target)]
-    return [ReportTable([["direction", "cycle", *heads], *rows], "")]
+    return [_ReportTable([["direction", "cycle", *heads], *rows], "")]
 
 
-def _of_markdown(text: str) -> list[ReportTable]:
+def _of_markdown(text: str) -> list[_ReportTable]:
     """Return the tables of a text in Markdown that hold readings; none when it is no such text."""
     lines = text.splitlines()
     tables = []
@@ -152,7 +152,7 @@ def _cells(lines: Sequence[str]) -> list[list[str]]:
     return rows_of("\n".join("\t".join(c.strip() for c in line.strip().strip("|").split("|")) for line in lines))
 
 
-def _told_by_heading(heads: list[str], body: list[list[str]], above: Sequence[str]) -> list[ReportTable]:
+def _told_by_heading(heads: list[str], body: list[list[str]], above: Sequence[str]) -> list[_ReportTable]:
     """Return a table for each instrument, with the direction or the target that the nearest heading says; none without readings."""
     if not any(map(names_target, heads)):
         target = next((m[1] for heading in above if (m := _TARGET_TOLD.search(heading))), None)
@@ -171,10 +171,10 @@ def _told_by_heading(heads: list[str], body: list[list[str]], above: Sequence[st
         heads = [_numbered(head, way) if i in values else head for i, head in enumerate(heads)]
     if wide_of(heads) is None and long_of(heads) is None:
         return []
-    return [ReportTable([heads, *body], label)]
+    return [_ReportTable([heads, *body], label)]
 
 
-def _beside(heads: Sequence[str], body: Sequence[Sequence[str]], way: str) -> list[ReportTable]:
+def _beside(heads: Sequence[str], body: Sequence[Sequence[str]], way: str) -> list[_ReportTable]:
     """Return what instruments read beside each other, one row a target or a target and cycle, all on one way; else none."""
     target = min(
         (i for i, head in enumerate(heads) if names_target(head)), key=lambda i: not unit_of(heads[i]), default=None
@@ -183,7 +183,7 @@ def _beside(heads: Sequence[str], body: Sequence[Sequence[str]], way: str) -> li
     read = [
         i
         for i, head in enumerate(heads)
-        if i not in (target, cycle) and unit_of(head) and not is_index(head) and not DIFFERENCE.search(head)
+        if i not in (target, cycle) and unit_of(head) and not is_index(head) and not _DIFFERENCE.search(head)
     ]
     names = [name_of(heads[i]) for i in read]
     if target is None or not names or len(set(names)) < len(names) or long_of(heads) is not None:
@@ -191,7 +191,7 @@ def _beside(heads: Sequence[str], body: Sequence[Sequence[str]], way: str) -> li
     rows = [row for row in body if max(read) < len(row) and is_number(row[target])]
     head = [f"target [{unit_of(heads[target])}]", "direction", *([] if cycle is None else ["cycle"])]
     return [
-        ReportTable(
+        _ReportTable(
             [
                 [*head, f"actual [{unit_of(heads[i])}]"],
                 *([row[target], way, *([] if cycle is None else [row[cycle]]), row[i]] for row in rows),
@@ -214,7 +214,7 @@ def name_of(head: str) -> str:
     return " ".join(w for w in words if way_of(w) is None and not w.isdigit() and w.lower() not in ("i", "j"))
 
 
-def of_one_instrument(tables: Sequence[ReportTable], wanted: str, path: Path) -> list[ReportTable]:
+def of_one_instrument(tables: Sequence[_ReportTable], wanted: str, path: Path) -> list[_ReportTable]:
     """Return the tables of an instrument; refuse those of several without a choice: their readings would be taken for one test.
 
     ``wanted``: its name, in any case; empty where none is asked for.
@@ -278,7 +278,7 @@ _READ = re.compile(
 _PLACES = re.compile(r"pos(ition)?\b(?![ ._]*(no|nr|num|number|nummer)\b)", re.I)
 
 
-def instruments_beside(rows: Sequence[Sequence[str]]) -> list[ReportTable]:
+def instruments_beside(rows: Sequence[Sequence[str]]) -> list[_ReportTable]:
     """Return a table for each instrument that heads of a plain table name; none where they name none, or no more than is read anyway.
 
     Where a column without a name stands beside those of the axis's own sensors, it holds the readings.
@@ -292,7 +292,7 @@ def instruments_beside(rows: Sequence[Sequence[str]]) -> list[ReportTable]:
     return []
 
 
-def _of_heads(heads: Sequence[str], below: Sequence[Sequence[str]]) -> list[ReportTable]:
+def _of_heads(heads: Sequence[str], below: Sequence[Sequence[str]]) -> list[_ReportTable]:
     target = next((i for i, h in enumerate(heads) if names_target(h) and not _INSTRUMENT.search(h)), None)
     if target is None or not below:
         return []
@@ -338,13 +338,13 @@ def _of_heads(heads: Sequence[str], below: Sequence[Sequence[str]]) -> list[Repo
             told = [
                 told[k] if i in found else f"{told[k]} [{unit[i]}]" if unit[i] else told[k] for k, i in enumerate(kept)
             ]
-        tables.append(ReportTable([told, *body], name))
+        tables.append(_ReportTable([told, *body], name))
     return tables
 
 
 def _may_be_read(head: str) -> bool:
     return not (names_target(head) and not _INSTRUMENT.search(head)) and not (
-        is_index(head) or SUMS_UP.search(head) or DIFFERENCE.search(head)
+        is_index(head) or SUMS_UP.search(head) or _DIFFERENCE.search(head)
     )
 
 

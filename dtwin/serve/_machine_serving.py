@@ -46,7 +46,7 @@ class OpenLink(Link, Protocol):
         """Release the correction and everything else."""
 
 
-Connect = Callable[[], OpenLink]
+_Connect = Callable[[], OpenLink]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -89,7 +89,7 @@ class MachineServing:
         self,
         request: ServingRequest,
         decision: Decision,
-        connect: Connect,
+        connect: _Connect,
         note: Note,
         withdrawn: Withdrawn = str,
         board: LiveBoard | None = None,

@@ -18,7 +18,7 @@ _ABOUT = {"not_finite": "sensors", "impossible_state": "state"}
 _HARMLESS = ("ok", "shrunk", "clamped", "slew_limited")
 
 
-def condition_of(state: Floats) -> str:
+def _condition_of(state: Floats) -> str:
     """Return what a state says of the program: the strongest of its reasons to stand still.
 
     ``state`` (N,): state of the controller.
@@ -36,7 +36,7 @@ class ProgramWatch:
     """Holds the correction back while the program stands, and notes why.
 
     ``settle_s``: as ``_SETTLE_S``; a pause needs none, its resumption is the operator's own wish.
-    ``condition``: as :func:`condition_of`.
+    ``condition``: as :func:`_condition_of`.
     """
 
     def __init__(self, note: Note = no_journal, settle_s: float = _SETTLE_S) -> None:
@@ -49,7 +49,7 @@ class ProgramWatch:
 
     def hold(self, state: Floats, now_s: float) -> bool:
         """Tell whether the correction is to be held at zero for this state."""
-        found = condition_of(state)
+        found = _condition_of(state)
         if found != self.condition:
             self._change(found, now_s)
         return found != "running" or now_s < self._free_at_s

@@ -22,7 +22,7 @@ from dtwin.faults import fault_of
 
 _MOST_KEPT = 40
 Tell = Callable[[str], None]
-Work = Callable[[Tell], str]
+_Work = Callable[[Tell], str]
 
 
 @dataclass
@@ -65,10 +65,10 @@ class Jobs:
                 job.state = "interrupted"
                 job.stage = "the server ended before this was finished; start it again"
                 self._note(job)
-        self._queue: queue.Queue[tuple[Job, Work, Context]] = queue.Queue()
+        self._queue: queue.Queue[tuple[Job, _Work, Context]] = queue.Queue()
         threading.Thread(target=self._run, daemon=True, name="workbench-jobs").start()
 
-    def start(self, title: str, work: Work) -> Job:
+    def start(self, title: str, work: _Work) -> Job:
         """Queue work and return at once. ``work``: gets a function that tells the stage; returns the page to go to."""
         begun = datetime.now(UTC).isoformat(timespec="seconds")
         job = Job(secrets.token_hex(8), title, begun=begun)
@@ -101,7 +101,7 @@ class Jobs:
             for old in [j for j in list(self._jobs.values()) if j.ended][:-_MOST_KEPT]:
                 self.forget(old.id)
 
-    def _do(self, job: Job, work: Work) -> None:
+    def _do(self, job: Job, work: _Work) -> None:
         since = time.monotonic()
 
         def tell(stage: str) -> None:

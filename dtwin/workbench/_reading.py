@@ -37,7 +37,7 @@ FLOOR_WORDS = {
 
 
 @dataclass(frozen=True)
-class Floor:
+class _Floor:
     """The noise floor of a campaign.
 
     ``um``: RMS of one run about the mean of its condition; NaN when it is not known.
@@ -93,7 +93,7 @@ class _View:
         return [str(c) for c in self.obs.conditions]
 
 
-def observed(bench: Bench, campaign: str) -> Observations:
+def _observed(bench: Bench, campaign: str) -> Observations:
     """Return the runs of a campaign of the lake on the grid.
 
     Raises ``InputError`` when there is no such campaign, or it has no usable run.
@@ -123,7 +123,7 @@ def said_together_in(bench: Bench, campaign: str) -> list[dict[str, Any]]:
     return campaign_sheet_of(bench, campaign, known.machine)["findings"]
 
 
-def campaign_floor(bench: Bench, campaign: str) -> Floor:
+def campaign_floor(bench: Bench, campaign: str) -> _Floor:
     """Return what repeats of a campaign disagree by, centre and radius of set-ups taken out.
 
     It is kept in a file: finding it reads every run.
@@ -133,12 +133,12 @@ def campaign_floor(bench: Bench, campaign: str) -> Floor:
         ("floor", campaign, stamp),
         lambda: kept(bench.home, "floors", campaign, stamp, lambda: _floor_um(bench, campaign)),
     )
-    return Floor(math.nan, "none") if um is None else Floor(um, "repeats")
+    return _Floor(math.nan, "none") if um is None else _Floor(um, "repeats")
 
 
 def _floor_um(bench: Bench, campaign: str) -> float | None:
     try:
-        obs = observed(bench, campaign)
+        obs = _observed(bench, campaign)
     except InputError:
         return None
     um = pure_rms_um(obs, localise.residual_um(obs, []))
@@ -173,10 +173,10 @@ def diagnosis_of(bench: Bench, name: str, version: int) -> dict[str, Any] | None
     return read_document(path) if path.exists() else None
 
 
-def floor_of(bench: Bench, view: _View) -> Floor:
+def floor_of(bench: Bench, view: _View) -> _Floor:
     """Return the noise floor: from repeats, else the lower bound of a diagnosis, else none."""
     if math.isfinite(view.floor_um):
-        return Floor(view.floor_um, "repeats")
+        return _Floor(view.floor_um, "repeats")
     same = view.obs.campaign.name == view.twin.campaign
     diagnosis = diagnosis_of(bench, view.twin.name, view.twin.version) if same else None
     diagnosis = diagnosis or {}
@@ -184,8 +184,8 @@ def floor_of(bench: Bench, view: _View) -> Floor:
     diagnosis = own[0] if own else diagnosis
     lower = diagnosis.get("noise_floor_um")
     if diagnosis.get("floor_kind") == "within_run" and lower is not None:
-        return Floor(float(lower), "within_run")
-    return Floor(math.nan, "none")
+        return _Floor(float(lower), "within_run")
+    return _Floor(math.nan, "none")
 
 
 def chosen_conditions(view: _View, wanted: Sequence[int]) -> list[int]:

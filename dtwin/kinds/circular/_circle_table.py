@@ -61,7 +61,7 @@ from dtwin.kinds.circular._titles import require_as_titled
 from dtwin.schema import Campaign, Direction, Finding, Floats, Run, RunMeta
 from dtwin.units import UM_PER_MM
 
-SUFFIXES = (".csv", ".txt", ".tsv", ".dat", *SPREADSHEETS)
+_SUFFIXES = (".csv", ".txt", ".tsv", ".dat", *SPREADSHEETS)
 _MAX_BYTES = 64 * 1024**2
 _FEWEST = 36
 """Rows of a circle."""
@@ -105,7 +105,7 @@ class _Form:
 
 def is_circle_table(path: Path) -> bool:
     """Return whether the heads of a file are those of one of the forms; it is read no further than its beginning."""
-    if path.suffix.lower() not in SUFFIXES or not path.is_file():
+    if path.suffix.lower() not in _SUFFIXES or not path.is_file():
         return False
     try:
         above, columns, body = _seen(first_text(path, _MAX_BYTES), path)

@@ -20,7 +20,7 @@ KIND = "drift"
 REPLICATION = "stretch of time"
 _BEYOND = 1.5
 """What is left on times held out is more than noise when it is this many times it."""
-Verdict = Literal["missing_effect", "ambiguous", "unknown_effect", "nothing_missing", "need_repeats"]
+_Verdict = Literal["missing_effect", "ambiguous", "unknown_effect", "nothing_missing", "need_repeats"]
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class DriftDiagnosis:
     ``idle``: terms of the twin that pay nothing beside the others.
     """
 
-    verdict: Verdict
+    verdict: _Verdict
     headline: str
     figures: dict[str, float]
     candidates: tuple[Addition, ...]
@@ -120,7 +120,7 @@ def diagnose(series: Series, terms: Sequence[Term]) -> DriftDiagnosis:
         told = {term.channel for term in further(series, terms)}
         best = next((one for one in paying if one.added.channel in told), None)
     group = () if best is None else (best, *(one for one in paying if one is not best and one.equals(best)))
-    verdict: Verdict
+    verdict: _Verdict
     if group:
         names = [_words(one) for one in group] + [TIME_ALONE] * any(one.is_as_time for one in group)
         verdict = "missing_effect" if len(names) == 1 else "ambiguous"
@@ -150,7 +150,7 @@ def _noise_um(series: Series) -> float:
     return series.floor_um if np.isfinite(series.floor_um) else series.next_um
 
 
-def beside_noise(series: Series, left_um: float) -> tuple[Verdict, str]:
+def beside_noise(series: Series, left_um: float) -> tuple[_Verdict, str]:
     """Return the verdict on what is left (µm RMS) on times held out when no effect surely explains it, and why."""
     floor, noise = _noise_um(series), "the noise of a reading"
     if not np.isfinite(series.floor_um):
@@ -169,7 +169,7 @@ def _words(one: Addition) -> str:
 
 
 @dataclass(frozen=True)
-class Effect:
+class _Effect:
     """One cause; ``term`` is the kind of its column, ``group`` of what it is on pages, ``per`` what there is one of it for."""
 
     name: str
@@ -189,28 +189,28 @@ class Effect:
 EFFECTS = {
     effect.name: effect
     for effect in (
-        Effect(
+        _Effect(
             "follows",
             "Moves with a temperature at once",
             "steady",
             "um/K",
             "Cool or warm up what the sensor sits on; or correct it.",
         ),
-        Effect(
+        _Effect(
             "lag",
             "Follows a temperature late: what moves lies behind the sensor",
             "lag",
             "um/K",
             "Put the sensor into what moves (a pocket in the casting); or correct it with the lag.",
         ),
-        Effect(
+        _Effect(
             "second_lag",
             "Follows a temperature through two lags of the same time constant",
             "lag2",
             "um/K",
             "Put the sensor into what moves; or correct it with both lags.",
         ),
-        Effect(
+        _Effect(
             "sensor_curve",
             "The scale of a sensor is not straight, or what it stands for is not",
             "curve",
@@ -224,7 +224,7 @@ _BY_TERM = {effect.term: effect for effect in EFFECTS.values()}
 _MOVES = ("steady", "lag", "lag2")
 
 
-def effect_of(term: Term) -> Effect:
+def effect_of(term: Term) -> _Effect:
     """Return the effect that a term is of."""
     return _BY_TERM[term.kind]
 

@@ -119,7 +119,7 @@ def _run(column: WarmColumn, day: Day, moved_um: Floats, number: int, seed: int,
     return Run(meta, samples, source="virtual column")
 
 
-MACHINE = "virtual-warm-column"
+_MACHINE = "virtual-warm-column"
 _TYPE = "warm_column"
 _AXIS = "Z"
 _TRUTHS = {
@@ -173,7 +173,7 @@ def simulate_drift(
         progress(number + 1, logs, f"day {number + 1}")
     head = {
         "name": f"warm-column-{truth}",
-        "machine": MACHINE,
+        "machine": _MACHINE,
         "kind": "drift",
         "machine_geometry": {"type": _TYPE, "virtual": True, "truth": truth},
         "instrument": {"model": "virtual probe and thermometers"},

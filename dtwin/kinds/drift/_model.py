@@ -20,7 +20,7 @@ from dtwin.units import shown_number
 
 _BLOCKS, _LONGER = 24, 12
 """Blocks of a log that are held out, and of a jackknife: what a model lacks goes on from one short block to the next."""
-COARSE_S = tuple(float(t) for t in 60.0 * 2.0 ** np.arange(9))
+_COARSE_S = tuple(float(t) for t in 60.0 * 2.0 ** np.arange(9))
 """Time constants of lags, about as fine as lags differ."""
 _NINE_OF_TEN = 0.9
 _DIGITS = 4
@@ -118,7 +118,7 @@ class Series:
         each = [
             Term(kind, channel, tau)
             for channel in self._unlike
-            for kind, taus in (("steady", (0.0,)), ("lag", COARSE_S), ("curve", (0.0,)))
+            for kind, taus in (("steady", (0.0,)), ("lag", _COARSE_S), ("curve", (0.0,)))
             for tau in taus
         ]
         made = np.column_stack([*map(self.column, each), *time_alone.courses(self.t_s)])

@@ -42,7 +42,7 @@ from dtwin.schema import Campaign, Finding, Floats, Run, RunMeta
 from dtwin.units import ANGLES_DEG, is_number
 
 _MOST_BYTES = 256 * 1024**2
-SUFFIXES = (".csv", ".txt", ".tsv", *SPREADSHEETS)
+_SUFFIXES = (".csv", ".txt", ".tsv", *SPREADSHEETS)
 _MOVED = re.compile(
     rf"(displacement|deviation|verlagerung|drift|{PROBES}|(delta_?|[d\u03b4])?[xyz]\d?)(_?\d+)?(_\w+)?_um", re.I
 )
@@ -211,7 +211,7 @@ def _read_drift(path: Path, campaign: Campaign, stated: Mapping[str, Any]) -> tu
 
 def is_drift_log(path: Path) -> bool:
     """Return whether the heads of a table are a time, displacements and temperatures; it is read no further than its beginning."""
-    if path.suffix.lower() not in SUFFIXES or not path.is_file():
+    if path.suffix.lower() not in _SUFFIXES or not path.is_file():
         return False
     said, units, body = _parted(first_rows(path, _MOST_BYTES), path)
     heads, factors, _ = _named(said, units, {})
@@ -362,4 +362,4 @@ def _step_mm(path: Path, text: str, campaign: Campaign, stated: Mapping[str, Any
     return step, (Finding("drift.step", "warning", told, {"told_step_mm": step, "read_step_mm": own}),)
 
 
-READERS = dict.fromkeys(SUFFIXES, _read_drift)
+READERS = dict.fromkeys(_SUFFIXES, _read_drift)

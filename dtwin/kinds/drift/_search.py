@@ -94,7 +94,7 @@ def further(series: Series, terms: Sequence[Term]) -> tuple[Term, ...]:
     """Return what a search finds that goes on past what is not sure, where in the end all is sure and surely less is left than by
     terms; else nothing.
     """
-    found = sure_of(series, _searched(series, terms))
+    found = _sure_of(series, _searched(series, terms))
     return () if is_no_less(held_out(series, terms).squares, held_out(series, found).squares) else found
 
 
@@ -114,7 +114,7 @@ def together(series: Series, terms: Sequence[Term], most_um: float) -> tuple[Ter
             break
         found = rung(found, None, [found[int(np.argmin(takes))]])
         model = held_out(series, found)
-    found = sure_of(series, found)
+    found = _sure_of(series, found)
     return () if is_no_less(held_out(series, terms).squares, held_out(series, found).squares) else found
 
 
@@ -130,7 +130,7 @@ def _searched(series: Series, terms: Sequence[Term]) -> tuple[Term, ...]:
     return found
 
 
-def sure_of(series: Series, terms: tuple[Term, ...]) -> tuple[Term, ...]:
+def _sure_of(series: Series, terms: tuple[Term, ...]) -> tuple[Term, ...]:
     """Return the terms that are more than what is left may have made."""
     model = fitted(series, terms)
     return tuple(t for t, v, k2 in zip(terms, model.value[1:], model.k2[1:], strict=True) if abs(v) > k2)

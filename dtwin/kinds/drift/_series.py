@@ -21,7 +21,7 @@ _SLIP_C, _OTHER_UNIT_C = 1.0, 10.0
 
 
 @dataclass(frozen=True)
-class Shift:
+class _Shift:
     """A reading that stepped and stayed, µm or K: a probe that was touched, a sensor that slipped. ``at_s``: of the first behind it."""
 
     at_s: float
@@ -37,10 +37,10 @@ def series_of(run: Run, *, as_read: bool = False) -> Series:
     sample = run.samples.get("sample_1")
     whole = None if sample is None else np.round(sample).astype(int)
     series = Series(run.samples["t_s"], moved_um(run), temperatures, whole)
-    return series if as_read else without_steps(series)
+    return series if as_read else _without_steps(series)
 
 
-def without_steps(series: Series) -> Series:
+def _without_steps(series: Series) -> Series:
     """Return a series without the steps of a touched probe and of sensors that slipped."""
     steps, slipped = shifts(series), slips(series)
     straight = {
@@ -56,14 +56,14 @@ def without_steps(series: Series) -> Series:
     )
 
 
-def _without(t_s: Floats, values: Floats, steps: Sequence[Shift]) -> Floats:
+def _without(t_s: Floats, values: Floats, steps: Sequence[_Shift]) -> Floats:
     """Return readings without steps."""
     for step in steps:
         values = values - step.size * (t_s >= step.at_s)
     return values
 
 
-def shifts(series: Series) -> list[Shift]:
+def shifts(series: Series) -> list[_Shift]:
     """Return the steps that heat does not make: far beyond all steps around, without a pause, and for good."""
     label = np.arange(len(series.t_s)) if series.sample is None else np.unique(series.sample, return_inverse=True)[1]
     count = np.bincount(label)
@@ -86,15 +86,15 @@ def shifts(series: Series) -> list[Shift]:
         columns = np.column_stack([np.ones(len(time)), time, time >= 0.0])
         size = float(np.linalg.lstsq(columns, moved[near], rcond=None)[0][2])
         if size / steps[i] > _STAYS:
-            found.append(Shift(float(series.t_s[label == i + 1].min()), size))
+            found.append(_Shift(float(series.t_s[label == i + 1].min()), size))
     return found
 
 
-def slips(series: Series) -> dict[str, list[Shift]]:
+def slips(series: Series) -> dict[str, list[_Shift]]:
     """Return the steps of sensors that stepped alone between two readings and stayed: what heats a machine steps no sensor so, or
     several.
     """
-    found: dict[str, list[Shift]] = {}
+    found: dict[str, list[_Shift]] = {}
     for channel, values in series.temperatures_c.items():
         for step in shifts(replace(series, moved_um=values)):
             at = int(np.flatnonzero(series.t_s == step.at_s)[0])

@@ -25,7 +25,7 @@ _READING_UM = 0.5
 _OF_NEXT = 0.2
 _HOUR_S = 3600.0
 _NO_EXTREME = 10.0
-AT_REST = "environment"
+_AT_REST = "environment"
 """What a run states as its ``test`` when nothing heated the machine but its surroundings."""
 
 
@@ -79,7 +79,7 @@ def variation(runs: Sequence[Run], campaign: str) -> Variation | None:
     found = []
     for run in runs:
         sound = not any(f.severity == "error" for f in run.findings)
-        if sound and run.meta.condition.get("test") == AT_REST and len(run.samples["t_s"]) > 1:
+        if sound and run.meta.condition.get("test") == _AT_REST and len(run.samples["t_s"]) > 1:
             t_s, moved = _means(series_of(run, as_read=True))
             hours = min(1.0, float(t_s[-1] - t_s[0]) / _HOUR_S)
             ranges = [np.ptp(moved[hour]) for hour in _hours(t_s)]

@@ -30,7 +30,7 @@ from dtwin.train.latency import bundle_latency
 from dtwin.train.results import Candidate, Scores, Training, TrainingReport
 from dtwin.train.symbolic import Engine
 
-HELD_OUT = "stretches"
+_HELD_OUT = "stretches"
 _LEAST_R2 = 0.5
 _BEYOND_C = 2.0
 _CLAMP_SHARE = 1.25
@@ -105,8 +105,8 @@ def train_drift(
 
 def drift_gates(bundle: Bundle, metrics: Mapping[str, float]) -> list[Verdict]:
     """Judge a bundle by everything that needs no other log."""
-    r2 = metrics.get(f"leave_{HELD_OUT}_out.r2", float("nan"))
-    worst = metrics.get(f"leave_{HELD_OUT}_out.worst_slice_ratio", float("inf"))
+    r2 = metrics.get(f"leave_{_HELD_OUT}_out.r2", float("nan"))
+    worst = metrics.get(f"leave_{_HELD_OUT}_out.worst_slice_ratio", float("inf"))
     return [
         Verdict("held-out stretches of time", r2 >= _LEAST_R2, f"R² {r2:z.3f}; at least {_LEAST_R2}"),
         Verdict("no stretch worse than no correction", worst < 1.0, f"the worst keeps {100 * worst:z.0f} %"),
@@ -183,7 +183,7 @@ def log_candidate(
         family="symbolic",
         promotable=bundle is not None,
         complexity=0 if bundle is None else len(bundle.tick_graph.nodes),
-        scores={HELD_OUT: _scores(series, held_out_um(series, model.terms))},
+        scores={_HELD_OUT: _scores(series, held_out_um(series, model.terms))},
         train_rms_um=model.left_um,
         latency=None if bundle is None else bundle_latency(bundle),
         equation=equation,
@@ -193,7 +193,7 @@ def log_candidate(
 
 def _zero(series: Series) -> Candidate:
     moved = moved_since(series)
-    return Candidate("zero", "baseline", False, 0, {HELD_OUT: _scores(series, moved)}, rms(moved))
+    return Candidate("zero", "baseline", False, 0, {_HELD_OUT: _scores(series, moved)}, rms(moved))
 
 
 def moved_since(series: Series) -> Floats:
@@ -214,7 +214,7 @@ def _scores(series: Series, left: Floats) -> Scores:
     worst = max(ratios, key=lambda where: ratios[where]) if ratios else ""
     r2 = 1.0 - float((left**2).sum() / ((moved - moved.mean()) ** 2).sum())
     blocks = int(series.block.max()) + 1
-    return Scores(HELD_OUT, r2, rms(left), float(np.mean(np.abs(left))), ratios.get(worst, 0.0), worst, blocks, 1)
+    return Scores(_HELD_OUT, r2, rms(left), float(np.mean(np.abs(left))), ratios.get(worst, 0.0), worst, blocks, 1)
 
 
 def _told(runs: Sequence[Run], forms: Mapping[str, Fitted]) -> Iterator[str]:
@@ -260,7 +260,7 @@ def logs_error(lake: Lake, rows: Sequence[dict[str, Any]], bundle: Bundle, *_: o
 def logs_held_out(known: Sequence[Mapping[str, Any]], fresh: Sequence[Mapping[str, Any]]) -> HeldOut:
     """Return the error to be expected: with stretches of time left out, of the axis that was trained."""
     require_trained(known, fresh, "axis")
-    return held_out(HELD_OUT)
+    return held_out(_HELD_OUT)
 
 
 def _left(bundle: Bundle, run: Run) -> tuple[Floats, Floats, Any]:

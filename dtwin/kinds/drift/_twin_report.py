@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 _UNITS = {"um/K": "µm/K", "um/K^2": "µm/K²"}
 
 
-def parameter_table(twin: DriftTwin, *, in_words: bool = True) -> Table:
+def _parameter_table(twin: DriftTwin, *, in_words: bool = True) -> Table:
     """Return the parameters; names of effects ``in_words`` for people, or as commands take them."""
     document = twin.as_dict()
     rows = []
@@ -50,7 +50,7 @@ def _minutes(late_s: float | None, half_s: float | None) -> str:
 
 def twin_text(twin: DriftTwin) -> str:
     """Return a twin for the terminal."""
-    shown = parameter_table(twin, in_words=False)
+    shown = _parameter_table(twin, in_words=False)
     head = (
         f"twin {twin.name} version {twin.version} ({twin.action}) of machine {twin.machine}, campaign {twin.campaign}, "
         f"log {twin.as_dict()['data']['fitted_to']}\n{_fell(twin.figures)}"
@@ -108,7 +108,7 @@ def diagnosis_section(name: str, result: Mapping[str, Any]) -> Section:
 
 def twin_section(twin: DriftTwin) -> Section:
     """Return a twin for a report."""
-    return Section("The twin", [_fell(twin.figures)], tables=[parameter_table(twin)])
+    return Section("The twin", [_fell(twin.figures)], tables=[_parameter_table(twin)])
 
 
 def comparison_sections(found: DriftComparison | None, result: Mapping[str, Any]) -> list[Section]:

@@ -198,12 +198,12 @@ def flanks_bundle(flanks: Flanks, name: str, machine: str, travel_mm: tuple[floa
     return remembering_bundle(builder, limits, name, machine, travel_mm, axis=axis)
 
 
-Limit = Callable[[Expression], Expression]
+_Limit = Callable[[Expression], Expression]
 
 
 def remembering_bundle(
     builder: GraphBuilder,
-    limits: Sequence[Limit],
+    limits: Sequence[_Limit],
     name: str,
     machine: str,
     travel_mm: tuple[float, float],

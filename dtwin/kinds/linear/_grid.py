@@ -15,8 +15,8 @@ from dtwin.positioning.still import still
 from dtwin.schema import Floats, Run, RunMeta
 from dtwin.units import shown_number
 
-Way = Literal["forward", "reverse"]
-WAYS: tuple[Way, Way] = ("forward", "reverse")
+_Way = Literal["forward", "reverse"]
+WAYS: tuple[_Way, _Way] = ("forward", "reverse")
 _FEWEST_TARGETS = 5
 _ROUND_MM = 1e-4
 _FEED_MM_MIN = 60.0
@@ -34,7 +34,7 @@ class Stroke(OneAxis):
 
     radius_mm: float
     feed_mm_min: float
-    direction: Way
+    direction: _Way
 
     @property
     def sense(self) -> float:

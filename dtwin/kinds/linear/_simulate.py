@@ -104,11 +104,11 @@ def simulate_lathe(
     if not recording.triggered.readings:
         alarms = "; ".join(a.message for a in recording.triggered.alarms)
         raise InputError("the laser took no reading", code="lathe.no_reading", got=alarms[:300])
-    write_lathe_campaign(folder, chosen, recording, truth_of(lathe, truth, seed))
+    _write_lathe_campaign(folder, chosen, recording, _truth_of(lathe, truth, seed))
     return len(recording.triggered.readings), recording.triggered.alarms
 
 
-def write_lathe_campaign(
+def _write_lathe_campaign(
     folder: Path, plan: LinearPlan, recording: LatheRecording, truth: dict[str, Any], *, corrected: bool = False
 ) -> None:
     """Write what the laser recorded as a campaign folder; the campaign file comes last.
@@ -156,7 +156,7 @@ def _laser_test(plan: LinearPlan, recording: LatheRecording) -> LaserTest:
     return LaserTest(raw, _averages(position, error, reverse), [])
 
 
-def truth_of(lathe: VirtualLathe, truth: str, seed: int) -> dict[str, Any]:
+def _truth_of(lathe: VirtualLathe, truth: str, seed: int) -> dict[str, Any]:
     """Return what is true of a lathe as plain values."""
     told: dict[str, Any] = {"truth": truth, "seed": seed}
     told |= {f"wander_{k}": v for k, v in asdict(lathe.wander).items()}
@@ -196,7 +196,7 @@ class ServedLathe:
     def __init__(self, plan: LinearPlan | None, truth: str, seed: int) -> None:
         self._plan = plan or replace(verification_plan(), runs=1)
         self._lathe = virtual_lathe(truth, seed)
-        self._told = truth_of(self._lathe, truth, seed)
+        self._told = _truth_of(self._lathe, truth, seed)
         self._motion = motion_of_plan(self._plan)
         begun, ended = self._motion.t_s[0], self._motion.t_s[-1]
         self._t_s = np.arange(begun, ended + _PERIOD_S, _PERIOD_S)
@@ -226,7 +226,7 @@ class ServedLathe:
         """Write what the laser read as a campaign folder; return what was written."""
         screw_mm = self._commanded_mm + self._offset_um / UM_PER_MM
         seen = self._lathe.measure(self._motion, laser_setup(self._plan), self._t_s, screw_mm)
-        write_lathe_campaign(
+        _write_lathe_campaign(
             folder, replace(self._plan, name=folder.name), seen, self._told, corrected=bool(self._offset_um.any())
         )
         return f"{len(seen.error_um)} readings of the laser"

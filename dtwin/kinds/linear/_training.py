@@ -46,7 +46,7 @@ _FAMILIES: dict[str, _Family] = {"pair": "neural", "flanks": "symbolic"}
 
 
 @dataclass(frozen=True)
-class Screw:
+class _Screw:
     """What the targets of a campaign show of a screw."""
 
     pitch_mm: float
@@ -54,7 +54,7 @@ class Screw:
     phases: int
 
 
-def screw_of(test: LinearTest, where: str) -> Screw:
+def screw_of(test: LinearTest, where: str) -> _Screw:
     """Return what a test shows of the screw."""
     if not test.pitch_mm or len(test.position_mm) < 2:
         scale = test.pitch_mm == 0.0
@@ -82,17 +82,17 @@ def screw_of(test: LinearTest, where: str) -> Screw:
             hint="a step of a tenth of the pitch: dtwin plan says what a step can show",
         )
     ends = float(averages.position_mm[0]), float(averages.position_mm[-1])
-    return Screw(test.pitch_mm, ends, phases)
+    return _Screw(test.pitch_mm, ends, phases)
 
 
-def fit_pair(averages: Averages, screw: Screw, seed: int) -> DualNet:
+def fit_pair(averages: Averages, screw: _Screw, seed: int) -> DualNet:
     """Train the published pair, with fewer neurons where the screw makes few turns. ``averages``: mean errors."""
     turns = len(averages.every(screw.pitch_mm).position_mm)
     slow = min(_NEURONS[0], max(_FEWEST_NEURONS, turns // _TURNS_PER_NEURON))
     return fit_dual(averages, screw.pitch_mm / MM_PER_IN, seed, hidden=(slow, _NEURONS[1]))
 
 
-def flanks_from(pair: DualNet, averages: Averages, screw: Screw) -> Flanks:
+def flanks_from(pair: DualNet, averages: Averages, screw: _Screw) -> Flanks:
     """Return the slow network of a pair with a closing cyclic error for each flank.
 
     ``averages``: what the cyclic errors are fitted to.
@@ -102,7 +102,7 @@ def flanks_from(pair: DualNet, averages: Averages, screw: Screw) -> Flanks:
     return flanks_of(pair.full, averages, screw.pitch_mm, orders, screw.reach_mm)
 
 
-def serving_bundle(model: PositionModel, machine: str, screw: Screw, axis: str = "Z") -> Bundle | None:
+def serving_bundle(model: PositionModel, machine: str, screw: _Screw, axis: str = "Z") -> Bundle | None:
     """Return the equation of a model, None when it is none."""
     if isinstance(model, DualNet):
         return deployed_bundle(model, "lathe-pair", machine, screw.reach_mm, axis)
@@ -167,7 +167,7 @@ def _usable_test(lake: Lake, name: str) -> LinearTest:
     return linear_test(both)
 
 
-def _fitted(averages: Averages, screw: Screw, seed: int) -> dict[str, PositionModel]:
+def _fitted(averages: Averages, screw: _Screw, seed: int) -> dict[str, PositionModel]:
     pair = fit_pair(averages, screw, seed)
     return {
         "zero": Uncorrected(),
@@ -178,7 +178,7 @@ def _fitted(averages: Averages, screw: Screw, seed: int) -> dict[str, PositionMo
     }
 
 
-def _held_out(test: LinearTest, screw: Screw, seed: int, progress: StageProgress) -> dict[str, Floats]:
+def _held_out(test: LinearTest, screw: _Screw, seed: int, progress: StageProgress) -> dict[str, Floats]:
     """Return what each model leaves of runs that it did not see, shape (2 targets, runs)."""
     direction, position, error = stacked(test)
     n = error.shape[1]
@@ -193,7 +193,7 @@ def _held_out(test: LinearTest, screw: Screw, seed: int, progress: StageProgress
 
 
 def _candidate(
-    name: str, model: PositionModel, test: LinearTest, left: Floats, floor: float, machine: str, screw: Screw
+    name: str, model: PositionModel, test: LinearTest, left: Floats, floor: float, machine: str, screw: _Screw
 ) -> Candidate:
     direction, position, error = stacked(test)
     rest = error - model.error_um(direction, position)[:, None]
@@ -240,12 +240,12 @@ def _not_proposed(candidates: Sequence[Candidate]) -> list[str]:
     ]
 
 
-def _refusals(bundle: Bundle, screw: Screw) -> tuple[str, ...]:
+def _refusals(bundle: Bundle, screw: _Screw) -> tuple[str, ...]:
     verdicts = positioning_gates(bundle, screw.pitch_mm, screw.reach_mm)
     return tuple(f"fails: {v.gate}: {v.reason}" for v in verdicts if not v.passed)
 
 
-def _what_was_seen(test: LinearTest, screw: Screw, engine: Engine | None) -> Iterator[str]:
+def _what_was_seen(test: LinearTest, screw: _Screw, engine: Engine | None) -> Iterator[str]:
     runs = test.forward_um.shape[1]
     yield (
         f"every run, one sweep up and down over {len(test.position_mm)} targets, was left out in "

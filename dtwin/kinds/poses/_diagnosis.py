@@ -21,7 +21,7 @@ from dtwin.statistics import f_tail, gain_tail, holm, rms, usual_size
 from dtwin.units import shown_number
 
 KIND = "poses"
-Verdict = Literal["missing_effect", "ambiguous", "unknown_effect", "nothing_missing", "need_repeats"]
+_Verdict = Literal["missing_effect", "ambiguous", "unknown_effect", "nothing_missing", "need_repeats"]
 _LEVELS = (
     ("joint_zero",),
     ("link_geometry",),
@@ -53,7 +53,7 @@ _SMALL = 0.5
 
 
 @dataclass(frozen=True)
-class Candidate:
+class _Candidate:
     """A family that could be added.
 
     ``gain``: share of the squares left on blocks held out that it takes.
@@ -87,11 +87,11 @@ class PoseDiagnosis:
     that pay nothing beside the others; ``doubtful``: terms of the twin that are small beside what no effect explains.
     """
 
-    verdict: Verdict
+    verdict: _Verdict
     headline: str
     figures: dict[str, float]
-    candidates: tuple[Candidate, ...]
-    group: tuple[Candidate, ...]
+    candidates: tuple[_Candidate, ...]
+    group: tuple[_Candidate, ...]
     invisible: tuple[str, ...]
     idle: tuple[Term, ...]
     lack_of_fit_p: float
@@ -245,10 +245,10 @@ def _invisible(grams: Grams, terms: Sequence[Term]) -> tuple[str, ...]:
     return tuple(term.label for term in others if len(chosen[term]) == len(base))
 
 
-def _candidates(grams: Grams, terms: Sequence[Term]) -> list[Candidate]:
+def _candidates(grams: Grams, terms: Sequence[Term]) -> list[_Candidate]:
     """Return every family that is not whole in the twin, less the joints at which it does not pay, level by level."""
     before, counted = _left(grams, terms), grams.count
-    candidates: list[Candidate] = []
+    candidates: list[_Candidate] = []
     for level in _LEVELS:
         tried = []
         for effect in level:
@@ -260,7 +260,7 @@ def _candidates(grams: Grams, terms: Sequence[Term]) -> list[Candidate]:
             left = float(after.sum())
             gain = 1.0 - left / float(before.sum())
             size = 1000.0 * float(np.sqrt(max(left, 0.0) / counted.sum()))
-            candidates.append(Candidate(effect, tuple(more), gain, float(p), size, after))
+            candidates.append(_Candidate(effect, tuple(more), gain, float(p), size, after))
     return candidates
 
 
@@ -282,7 +282,7 @@ def _needed(without: Floats, now: Floats) -> bool:
     return float(without.sum()) > float(now.sum()) * (1.0 + _PAYS) and gain_tail(without, now) < _STAYS
 
 
-def _group(grams: Grams, terms: Sequence[Term], candidates: Sequence[Candidate]) -> list[Candidate]:
+def _group(grams: Grams, terms: Sequence[Term], candidates: Sequence[_Candidate]) -> list[_Candidate]:
     """Return the plainest family that pays, or a fancier one that explains it away, and those that tell the same."""
     above = _above_floor(grams, terms)
     pays = [c for c in candidates if c.pays and (above or c.effect in _IN_REPEATS)]
@@ -291,7 +291,7 @@ def _group(grams: Grams, terms: Sequence[Term], candidates: Sequence[Candidate])
     level = next(level for level in _LEVELS if pays[0].effect in level)
     best = max((c for c in pays if c.effect in level), key=lambda c: c.gain)
 
-    def beside(first: Candidate, second: Candidate) -> float:
+    def beside(first: _Candidate, second: _Candidate) -> float:
         """Return what the second gains beside the first, as a share of all squares."""
         both = _left(grams, [*terms, *first.terms, *second.terms])
         return float((first.left_mm2 - both).sum()) * (1.0 - first.gain) / float(first.left_mm2.sum())
@@ -320,12 +320,12 @@ def _above_floor(grams: Grams, terms: Sequence[Term]) -> bool:
     return float(_left(grams, terms).sum()) > floor_mm**2 * float(grams.count.sum())
 
 
-def _size(grams: Grams, candidate: Candidate) -> int:
+def _size(grams: Grams, candidate: _Candidate) -> int:
     """Return the number of parameters of a family."""
     return sum(grams.series.slots[t].stop - grams.series.slots[t].start for t in candidate.terms)
 
 
-def _verdict(grams: Grams, group: Sequence[Candidate], figures: dict[str, float]) -> tuple[Verdict, str, float]:
+def _verdict(grams: Grams, group: Sequence[_Candidate], figures: dict[str, float]) -> tuple[_Verdict, str, float]:
     floor, left = figures["noise_floor_um"], figures["held_out_rms_um"]
     what = ""
     if group:

@@ -37,7 +37,7 @@ class Poses:
 
 
 @dataclass(frozen=True)
-class Effect:
+class _Effect:
     """One cause. ``per`` is ``joint`` or ``robot``; ``needs``: what a table must have for it.
     ``group``: of what it is on pages.
 
@@ -152,7 +152,7 @@ def _setup_drift(poses: Poses, point: Floats, joint: int) -> Floats:
 _ANGLE = (("cosine", "mrad"), ("sine", "mrad"))
 _GEOMETRY = (("length", "mm"), ("offset", "mm"), ("twist", "mrad"), ("tilt", "mrad"))
 _EFFECTS = (
-    Effect(
+    _Effect(
         "joint_zero",
         "zero of a joint",
         "joint",
@@ -162,8 +162,8 @@ _EFFECTS = (
         cause="joint_offset",
         elsewhere=("offset", "urad", 1e3),
     ),
-    Effect("link_geometry", "length and twist of a link", "joint", _GEOMETRY, _geometry, "correct the DH table"),
-    Effect(
+    _Effect("link_geometry", "length and twist of a link", "joint", _GEOMETRY, _geometry, "correct the DH table"),
+    _Effect(
         "gravity_sag",
         "gravity sag of a loaded joint",
         "joint",
@@ -171,10 +171,10 @@ _EFFECTS = (
         _sag,
         "state the payload; correct the joint by compliance times moment",
     ),
-    Effect(
+    _Effect(
         "joint_cyclic_1", "once a turn of a joint", "joint", _ANGLE, _cyclic(1.0), "encoder off centre", group="drive"
     ),
-    Effect(
+    _Effect(
         "joint_cyclic_2",
         "twice a turn of a joint",
         "joint",
@@ -183,8 +183,8 @@ _EFFECTS = (
         "gear or encoder disc not round",
         group="drive",
     ),
-    Effect("joint_cyclic_3", "three times a turn of a joint", "joint", _ANGLE, _cyclic(3.0), "gear", group="drive"),
-    Effect(
+    _Effect("joint_cyclic_3", "three times a turn of a joint", "joint", _ANGLE, _cyclic(3.0), "gear", group="drive"),
+    _Effect(
         "joint_reversal",
         "lost motion of a joint",
         "joint",
@@ -194,7 +194,7 @@ _EFFECTS = (
         elsewhere=("backlash", "urad", 1e3),
         group="drive",
     ),
-    Effect(
+    _Effect(
         "ambient_growth",
         "growth with the ambient",
         "robot",
@@ -206,7 +206,7 @@ _EFFECTS = (
         elsewhere=("expansion", "um/(m K)", 1.0),
         group="heat",
     ),
-    Effect(
+    _Effect(
         "setup_drift",
         "the robot's base or the instrument moves while it is measured",
         "robot",
@@ -218,7 +218,7 @@ _EFFECTS = (
         group="instrument",
     ),
 )
-EFFECTS: Mapping[str, Effect] = {effect.name: effect for effect in _EFFECTS}
+EFFECTS: Mapping[str, _Effect] = {effect.name: effect for effect in _EFFECTS}
 
 
 def carrying(joints: int) -> int:

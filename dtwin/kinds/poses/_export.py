@@ -52,7 +52,7 @@ def export_twin(home: Home, twin: PoseTwin, form: str) -> Export:
 
     Raises ``InputError`` when the twin has nothing that the form holds.
     """
-    write, waves = FORMS[form]
+    write, waves = _FORMS[form]
     held = {"joint_zero", "link_geometry", *(_CYCLIC if waves else ())}
     left_out = {t.label: f"{form} does not hold it" for t in twin.terms if t.effect not in held}
     if len(left_out) == len(twin.terms):
@@ -197,7 +197,7 @@ def _matlab(arm: _Arm) -> str:
     return "\n".join([*lines, "end", ""])
 
 
-FORMS: Mapping[str, tuple[Callable[[_Arm], str], bool]] = {
+_FORMS: Mapping[str, tuple[Callable[[_Arm], str], bool]] = {
     "urdf": (_urdf, False),
     "dh": (_dh, False),
     "python": (_python, True),

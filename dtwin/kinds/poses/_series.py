@@ -62,7 +62,7 @@ class Series:
 
     def floor_of_left_mm(self, left_mm: Floats) -> float:
         """Return the floor of what terms leave (n, 3): they may take what repeats differ by, as lost motion does."""
-        return floor_of(left_mm, self.poses.place, self.poses.t_s)[0]
+        return _floor_of(left_mm, self.poses.place, self.poses.t_s)[0]
 
 
 def series_of(
@@ -96,7 +96,7 @@ def series_of(
         slots[term] = slice(begin, begin + made.shape[2])
         parts.append(made)
         begin += made.shape[2]
-    floor, repeats, moved = floor_of(error, place, t_s)
+    floor, repeats, moved = _floor_of(error, place, t_s)
     design, block = np.concatenate(parts, axis=2), _blocks(joints, place)
     return Series(poses, setup, error, design, slots, block, floor, repeats, moved)
 
@@ -114,7 +114,7 @@ def series_of_targets(target_mm: Floats, rotation: Floats, measured_mm: Floats, 
     setup = fitted(at, measured_mm)
     error = setup.in_base(measured_mm) - at.tool_mm(setup.tool_mm)
     poses = Poses(np.zeros((n, 0)), measured_mm, at, None, place)
-    floor, repeats, moved = floor_of(error, place, t_s)
+    floor, repeats, moved = _floor_of(error, place, t_s)
     return Series(poses, setup, error, columns(at, setup.tool_mm), {}, np.zeros(n), floor, repeats, moved)
 
 
@@ -133,7 +133,7 @@ def _places(joints_deg: Floats) -> Floats:
     return np.asarray(connected_components(linked, directed=False)[1][number])
 
 
-def floor_of(error: Floats, place: Floats, t_s: Floats | None) -> tuple[float, int, float]:
+def _floor_of(error: Floats, place: Floats, t_s: Floats | None) -> tuple[float, int, float]:
     """Return the floor of errors (n, 3), how many poses were measured again, and how far these moved over the test."""
     count = np.bincount(place)
     again = count > 1

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 _UNIT = "unit of replication: the block of neighbouring poses"
 
 
-def parameter_table(twin: PoseTwin, *, in_words: bool = True) -> Table:
+def _parameter_table(twin: PoseTwin, *, in_words: bool = True) -> Table:
     """Return the parameters; what the poses cannot tell is said so, without a number.
 
     ``in_words``: names of effects for people; else as commands take them.
@@ -39,7 +39,7 @@ def parameter_table(twin: PoseTwin, *, in_words: bool = True) -> Table:
 
 def twin_text(twin: PoseTwin) -> str:
     """Return a twin for the terminal."""
-    shown = parameter_table(twin, in_words=False)
+    shown = _parameter_table(twin, in_words=False)
     head = (
         f"twin {twin.name} version {twin.version} ({twin.action}) of machine {twin.machine}, campaign {twin.campaign}\n"
         f"{_fell(twin.figures)}"
@@ -104,7 +104,7 @@ def diagnosis_section(name: str, result: Mapping[str, Any]) -> Section:
 
 def twin_section(twin: PoseTwin) -> Section:
     """Return a twin for a report."""
-    return Section("The twin", [_fell(twin.figures)], tables=[parameter_table(twin)])
+    return Section("The twin", [_fell(twin.figures)], tables=[_parameter_table(twin)])
 
 
 def comparison_sections(found: PoseComparison | None, result: Mapping[str, Any]) -> list[Section]:

@@ -135,7 +135,7 @@ class PoseTwins(TermTwins[Term, Loaded, PoseTwin, PoseDiagnosis]):
         if loaded.campaign != twin.campaign:
             # How a set-up moved is of its own day.
             told = [parameter for parameter in told if parameter["effect"] != "setup_drift"]
-        return PoseComparison(twin, loaded, applied(loaded.grams, told), _as_fitted(twin, told, same))
+        return PoseComparison(twin, loaded, _applied(loaded.grams, told), _as_fitted(twin, told, same))
 
     @logged_together
     def discover(self, name: str, *, seed: int = 0) -> tuple[list[PoseTwin], list[tuple[str, ...]], PoseDiagnosis]:
@@ -242,7 +242,7 @@ def _without(group: tuple[str, ...], gone: Sequence[Term]) -> tuple[str, ...]:
     return (f"{effect}@{'+'.join(kept)}" if joints else effect, *group[1:]) if kept else ()
 
 
-def applied(grams: Grams, told: Sequence[Mapping[str, Any]]) -> Floats:
+def _applied(grams: Grams, told: Sequence[Mapping[str, Any]]) -> Floats:
     """Return errors (n, 3) less stored parameters, with frame and tool of this campaign fitted."""
     left = _less(grams, told)
     setup = grams.series.design[:, :, :9].reshape(-1, 9)

@@ -26,7 +26,7 @@ _READING_ARCSEC = 1.0
 _SHOWN = {"A": "accuracy", "R": "repeatability", "E": "systematic", "B": "reversal", "M": "mean_deviation"}
 
 
-def asked(test: LinearTest) -> list[str]:
+def _asked(test: LinearTest) -> list[str]:
     """Return what the standard asks for and the test has not."""
     targets, runs = test.forward_um.shape
     fewest = next(n for most, n in _FEWEST if float(np.ptp(test.position_mm)) <= most + TARGET_MM)
@@ -40,7 +40,7 @@ def asked(test: LinearTest) -> list[str]:
 
 def noted(test: LinearTest) -> list[str]:
     """Return what is to be noted of a test: what it lacks, and how turns close."""
-    return [*asked(test), *(finding.message for finding in _closures(test))]
+    return [*_asked(test), *(finding.message for finding in _closures(test))]
 
 
 def _closures(test: LinearTest) -> list[Finding]:
@@ -78,7 +78,7 @@ def judge_campaign(runs: Sequence[Run]) -> list[Finding]:
     found = judge_positioning_campaign(runs, ANGLES)
     whole = [run for run in runs if run.samples]
     for test in tests_by_axis(whole, ANGLES) if whole else []:
-        found += [Finding("rotary.asked", "warning", said) for said in asked(test)]
+        found += [Finding("rotary.asked", "warning", said) for said in _asked(test)]
         found += _closures(test)
     return found
 
@@ -94,7 +94,7 @@ def positioning_result(runs: Sequence[Run], progress: Progress = silent) -> list
         if told["runs"] > 1:
             figures = asdict(linear_figures(test.forward_um, test.reverse_um))
             told["iso_230_2"] = {f"{name.removesuffix('_um')}_arcsec": value for name, value in figures.items()}
-        out.append(told | waves(test))
+        out.append(told | _waves(test))
     return out
 
 
@@ -137,7 +137,7 @@ _CHANCE = 0.05
 """How often one of the waves is told where there is none."""
 
 
-def waves(test: LinearTest) -> dict[str, Any]:
+def _waves(test: LinearTest) -> dict[str, Any]:
     """Return the waves of a whole turn, JSON-ready, in seconds of arc; empty where the targets are no whole turn or too few.
 
     They are fitted by least squares to the mean of both directions, run by run; ``k95_arcsec`` is what covers 95 % of

@@ -326,7 +326,7 @@ def _figures(point: Point) -> dict[str, Any]:
     return out
 
 
-HEAD = ("run", "rpm", "turns", "once at, °", "noise of S, µm", "asynchronous RMS, µm", "drift, µm")
+_HEAD = ("run", "rpm", "turns", "once at, °", "noise of S, µm", "asynchronous RMS, µm", "drift, µm")
 
 
 def rotation_lines(result: Mapping[str, Any], runs: Sequence[Mapping[str, Any]]) -> list[str]:
@@ -346,7 +346,7 @@ def rotation_lines(result: Mapping[str, Any], runs: Sequence[Mapping[str, Any]])
         rows.append(
             [run["run"], f"{f['speed_rpm']:z.5g}", str(f["turns"]), at, floor, _shown(f["asynchronous_rms_um"]), drift]
         )
-    lines = table(HEAD, rows).splitlines() if rows else []
+    lines = table(_HEAD, rows).splitlines() if rows else []
     if rows:
         lines.append(
             "noise of S: the range that turns by turns would leave where nothing is synchronous. A grows with the number of turns, its RMS does not."

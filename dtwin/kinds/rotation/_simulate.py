@@ -13,8 +13,8 @@ from dtwin.kinds.machine import require_no_campaign
 from dtwin.machines.rotor import Rotor, RotorLog, RotorParameters
 from dtwin.progress import Progress
 
-MACHINE = "virtual-rotor"
-TYPE = "rotor"
+_MACHINE = "virtual-rotor"
+_TYPE = "rotor"
 TRUTHS = {
     "unbalance": RotorParameters(unbalance_um=60.0),
     "sound": RotorParameters(),
@@ -23,7 +23,7 @@ TRUTHS = {
     "warming": RotorParameters(growth_um=40.0, warm_s=6000.0),
 }
 # The lowest again at the end: what it differs by is time, not speed.
-SPEEDS_RPM = (600.0, 4800.0, 2400.0, 6000.0, 1200.0, 3600.0, 600.0)
+_SPEEDS_RPM = (600.0, 4800.0, 2400.0, 6000.0, 1200.0, 3600.0, 600.0)
 _TURNS, _QUICK_TURNS, _READINGS = 48, 20, 180
 _BETWEEN_S = 600.0
 
@@ -40,23 +40,23 @@ def simulate_rotation(
     require_no_campaign(folder)
     folder.mkdir(parents=True, exist_ok=True)
     rotor, runs = Rotor(TRUTHS[truth], seed), []
-    for number, speed in enumerate(SPEEDS_RPM, start=1):
+    for number, speed in enumerate(_SPEEDS_RPM, start=1):
         log = rotor.run(speed, _QUICK_TURNS if quick else _TURNS, _READINGS, number)
         name = f"{number}-{speed:z.0f}rpm"
         write_text(folder / f"{name}.csv", _table(log), "the log")
         started = (EPOCH + timedelta(seconds=(number - 1) * _BETWEEN_S)).isoformat()
         runs.append({"id": name, "file": f"{name}.csv", "started": started, "condition": {"speed_rpm": speed}})
         rotor.rest(_BETWEEN_S, speed)
-        progress(number, len(SPEEDS_RPM), name)
+        progress(number, len(_SPEEDS_RPM), name)
     head = {
         "name": f"rotor-{truth}",
-        "machine": MACHINE,
+        "machine": _MACHINE,
         "kind": "rotation",
-        "machine_geometry": {"type": TYPE, "virtual": True, "truth": truth},
+        "machine_geometry": {"type": _TYPE, "virtual": True, "truth": truth},
         "instrument": {"model": "virtual probes and encoder"},
     }
     write_campaign_file(folder, head, runs)
-    return len(SPEEDS_RPM)
+    return len(_SPEEDS_RPM)
 
 
 def _table(log: RotorLog) -> str:

@@ -24,7 +24,7 @@ _BACK_DEG = 20.0
 _MOST_BLOCKS = 6
 _FEWEST_PARTED, _FEW_TURNS, _PARTS = 4, 6, 60
 _AT_ONCE = 500_000
-KEEP = "keep"
+_KEEP = "keep"
 """What the condition of a run states as ``features`` when local features are not to be left out."""
 
 
@@ -178,7 +178,7 @@ def turns_of(run: Run) -> Turns | None:
     along = np.arange(bins) / bins - 0.5
     drift = level + slope * (np.flatnonzero(sound)[:, None] + (along if forward else -along)[None, :])
     moved = kept - drift
-    found = () if run.meta.condition.get("features") == KEEP else features_of(moved, width)
+    found = () if run.meta.condition.get("features") == _KEEP else features_of(moved, width)
     for feature in found:
         moved = feature.bridged(moved)
     found = tuple(replace(f, angle_deg=float(np.mod(begin + f.angle_deg, _TURN))) for f in found)

@@ -42,7 +42,7 @@ _RIDGE = 1e-9
 _EXPLODED_UM = 1e4
 # Amplitude error in um and lag in degrees of groups, from a fit to others.
 Predicted = tuple[Floats, Floats]
-Predict = Callable[[ToneGroups, ToneGroups], Predicted]
+_Predict = Callable[[ToneGroups, ToneGroups], Predicted]
 FORMS: dict[str, Callable[[ToneGroups], tuple[Law, Law]]] = {
     "two-modes": two_modes,
     "power-law": power_law,
@@ -51,7 +51,7 @@ FORMS: dict[str, Callable[[ToneGroups], tuple[Law, Law]]] = {
 
 
 @dataclass(frozen=True)
-class Judged:
+class _Judged:
     """How well a way to predict does on what it did not see.
 
     ``scores``: of the amplitude error, by what was left out.
@@ -62,7 +62,7 @@ class Judged:
     numbers: dict[str, float]
 
 
-def judged(groups: ToneGroups, predict: Predict) -> Judged:
+def judged(groups: ToneGroups, predict: _Predict) -> _Judged:
     """Leave out every frequency, then every amplitude, in turn.
 
     ``predict``: given groups to fit to and groups to predict, returns amplitude and phase errors.
@@ -82,7 +82,7 @@ def judged(groups: ToneGroups, predict: Predict) -> Judged:
         # Of the wave: half of the squared error vector.
         square = (groups.amplitude_error_um - amplitude) ** 2 + (np.radians(rest) * groups.amplitude_um) ** 2
         numbers[OUTPUT_RMS] = max(numbers[OUTPUT_RMS], float(np.sqrt(square.mean() / 2.0)))
-    return Judged(scores, numbers)
+    return _Judged(scores, numbers)
 
 
 def _scores(groups: ToneGroups, amplitude: Floats, name: str) -> Scores:
@@ -106,7 +106,7 @@ def _r2(true: Floats, predicted: Floats) -> float:
     return 1.0 - float(np.sum((true - predicted) ** 2) / np.sum((true - true.mean()) ** 2))
 
 
-def law_candidates(
+def _law_candidates(
     groups: ToneGroups, machine: str, engine: Engine | None, seed: int, table_versions: dict[str, int]
 ) -> list[Candidate]:
     """Return the candidates that are equations, each with its bundle.
@@ -121,7 +121,7 @@ def law_candidates(
 def form_candidate(
     groups: ToneGroups, machine: str, name: str, table_versions: dict[str, int], action: Action = "inverse"
 ) -> Candidate:
-    """Return the candidate of one of ``FORMS``; parameters as for :func:`law_candidates`."""
+    """Return the candidate of one of ``FORMS``; parameters as for :func:`_law_candidates`."""
     fit = FORMS[name]
 
     def predict(train: ToneGroups, test: ToneGroups) -> Predicted:
@@ -139,7 +139,7 @@ def searched_candidate(
     table_versions: dict[str, int],
     action: Action = "inverse",
 ) -> Candidate:
-    """Return the candidate of the free search; parameters as for :func:`law_candidates`.
+    """Return the candidate of the free search; parameters as for :func:`_law_candidates`.
 
     Its scores are those of searches without what is predicted: form, features and constants.
     """
@@ -161,7 +161,7 @@ def _law_candidate(
     groups: ToneGroups,
     laws: tuple[Law, Law],
     name: str,
-    judged: Judged,
+    judged: _Judged,
     machine: str,
     table_versions: dict[str, int],
     action: Action,
@@ -192,7 +192,7 @@ def _law_candidate(
     )
 
 
-def compared_candidates(groups: ToneGroups, seed: int) -> list[Candidate]:
+def _compared_candidates(groups: ToneGroups, seed: int) -> list[Candidate]:
     """Return what equations are compared with: trivial ones, regressors on the features, NARX.
 
     ``groups``: groups that the accelerometer hears.
@@ -202,7 +202,7 @@ def compared_candidates(groups: ToneGroups, seed: int) -> list[Candidate]:
         one = np.ones(test.n)
         return one * train.amplitude_error_um.mean(), one * train.phase_error_deg.mean()
 
-    ways: list[tuple[str, Any, int, Predict]] = [
+    ways: list[tuple[str, Any, int, _Predict]] = [
         ("zero", "baseline", 0, lambda train, test: (np.zeros(test.n), np.zeros(test.n))),
         ("constant", "baseline", 2, mean),
     ]
@@ -220,7 +220,7 @@ def narx_candidate(groups: ToneGroups) -> Candidate:
     return _compared(groups, "narx", "baseline", 2 * _Narx.LAGS + 1, _narx)
 
 
-def _compared(groups: ToneGroups, name: str, family: Any, size: int, predict: Predict) -> Candidate:
+def _compared(groups: ToneGroups, name: str, family: Any, size: int, predict: _Predict) -> Candidate:
     scored = judged(groups, predict)
     rest = groups.amplitude_error_um - predict(groups, groups)[0]
     return Candidate(
@@ -235,7 +235,7 @@ def _compared(groups: ToneGroups, name: str, family: Any, size: int, predict: Pr
     )
 
 
-def _regressor(recipe: Recipe, seed: int) -> Predict:
+def _regressor(recipe: Recipe, seed: int) -> _Predict:
     def predict(train: ToneGroups, test: ToneGroups) -> Predicted:
         size = np.abs(train.features).max(axis=0)
         tone = np.unique(train.frequency_hz, return_inverse=True)[1]
@@ -255,7 +255,7 @@ def _narx(train: ToneGroups, test: ToneGroups) -> Predicted:
     return values[:, 0], values[:, 1]
 
 
-def proposed(candidates: Sequence[Candidate], most_radius: float) -> str:
+def _proposed(candidates: Sequence[Candidate], most_radius: float) -> str:
     """Return the equation with the smallest held-out error among those without dead terms.
 
     ``most_radius``: spectral radius beyond which an equation is proposed only when there is no other.
@@ -324,9 +324,9 @@ def train_tones(
     everything = load_tone_groups(lake, lake.runs(name))
     groups = heard_groups(everything)
     progress("features of the first 5 s", 1, 1, f"{groups.n} of {everything.n} groups")
-    laws = law_candidates(groups, campaign.machine, engine, seed, versions)
+    laws = _law_candidates(groups, campaign.machine, engine, seed, versions)
     progress("equations", 1, 1, "")
-    others = compared_candidates(groups, seed)
+    others = _compared_candidates(groups, seed)
     progress("comparison models", 1, 1, "")
     found = sorted([*laws, *others], key=lambda c: c.held_out.rms_um)
     (floor, freedom), told = noise_floor_um(groups), what_was_seen(everything)
@@ -345,7 +345,7 @@ def train_tones(
         n_runs=groups.n,
         n_rows=groups.n,
         candidates=tuple(found),
-        proposed=proposed(found, MOST_RADIUS),
+        proposed=_proposed(found, MOST_RADIUS),
         seed=seed,
         told=tuple(told),
     )

@@ -34,14 +34,14 @@ _FEWEST_PERIODS = 4.0
 
 
 @dataclass(frozen=True)
-class Commanded:
+class _Commanded:
     """What a run was told to do."""
 
     frequency_hz: float
     amplitude_um: float
 
 
-def commanded(run: Run) -> Commanded:
+def commanded(run: Run) -> _Commanded:
     """Return frequency and amplitude that a run states."""
     values = [run.meta.condition.get(name) for name in ("frequency_hz", "amplitude_um")]
     numbers = [float(v) for v in values if isinstance(v, int | float) and v > 0.0]
@@ -53,7 +53,7 @@ def commanded(run: Run) -> Commanded:
             got=f"frequency_hz, amplitude_um = {values}",
             allowed="positive numbers under [run.condition]",
         )
-    return Commanded(*numbers)
+    return _Commanded(*numbers)
 
 
 def with_bandwidth(run: Run, campaign: Campaign) -> Run:
@@ -150,7 +150,7 @@ def judge_sinusoidal_campaign(runs: Sequence[Run]) -> Iterator[Finding]:
         )
 
 
-def _sampling(run: Run, told: Commanded) -> Iterator[Finding]:
+def _sampling(run: Run, told: _Commanded) -> Iterator[Finding]:
     t = run.samples["t_s"]
     yield from _rate_finding(run.meta.sample_rate_hz, told.frequency_hz, "the samples")
     if len(t) and t[-1] - t[0] < LEARNED_S - 0.01:
@@ -181,7 +181,7 @@ def _rate_finding(rate_hz: float, frequency_hz: float, what: str) -> Iterator[Fi
     )
 
 
-def _tone(run: Run, told: Commanded) -> Iterator[Finding]:
+def _tone(run: Run, told: _Commanded) -> Iterator[Finding]:
     tone = fit_tone(run.samples["t_s"], run.samples["cmd_z_mm"] * UM_PER_MM, told.frequency_hz)
     if tone.share < _SAME_TONE or abs(tone.amplitude - told.amplitude_um) > 0.1 * told.amplitude_um:
         yield Finding(
@@ -215,7 +215,7 @@ def _tone(run: Run, told: Commanded) -> Iterator[Finding]:
         yield Finding("sinusoidal.tool_scale", "error", said, {"ratio_1": ratio})
 
 
-def _exchanged(run: Run, told: Commanded, command: Tone) -> list[Finding]:
+def _exchanged(run: Run, told: _Commanded, command: Tone) -> list[Finding]:
     """Tell command and encoder apart: a slide follows its command, which has the stated amplitude."""
     encoder = fit_tone(run.samples["t_s"], run.samples["act_z_mm"] * UM_PER_MM, told.frequency_hz)
     if min(command.share, encoder.share) < _SAME_TONE:
@@ -233,7 +233,7 @@ def _exchanged(run: Run, told: Commanded, command: Tone) -> list[Finding]:
     return [Finding("sinusoidal.exchanged", "error", said, {"phase_deg": ahead_deg})]
 
 
-def _frequency(run: Run, told: Commanded) -> list[Finding]:
+def _frequency(run: Run, told: _Commanded) -> list[Finding]:
     """Judge the stated frequency by how the phase of the command moves from the first half of a run to the second."""
     t, command = run.samples["t_s"], run.samples["cmd_z_mm"]
     if (t[-1] - t[0]) * told.frequency_hz < _FEWEST_PERIODS:
@@ -251,7 +251,7 @@ def _frequency(run: Run, told: Commanded) -> list[Finding]:
     return [Finding("sinusoidal.frequency", "warning", said, {"frequency_hz": true_hz})]
 
 
-def _sensor(run: Run, group: SignalGroup, told: Commanded) -> Iterator[Finding]:
+def _sensor(run: Run, group: SignalGroup, told: _Commanded) -> Iterator[Finding]:
     yield from _rate_finding(group.rate_hz, told.frequency_hz, f"the signals of {group.name}")
     for name, values in group.columns.items():
         yield from _clipped(values, name, "sensor.saturated")
@@ -273,7 +273,7 @@ def _sensor(run: Run, group: SignalGroup, told: Commanded) -> Iterator[Finding]:
         yield from _scale(run, told, tone)
 
 
-def _scale(run: Run, told: Commanded, felt: Tone) -> list[Finding]:
+def _scale(run: Run, told: _Commanded, felt: Tone) -> list[Finding]:
     """Compare what the accelerometer reads with the acceleration of the tool, or of the encoder where no probe is at the tool."""
     name = next(
         (name for name in ("tool_z_mm", "act_z_mm") if name in run.samples and np.ptp(run.samples[name]) > 0.0), ""

@@ -32,7 +32,7 @@ _WEAK_G = 3e-4
 
 
 @dataclass(frozen=True)
-class ToneGroup:
+class _ToneGroup:
     """One group: what is commanded, and which repeat it is."""
 
     frequency_hz: float
@@ -62,12 +62,12 @@ class TonePlan:
     seed: int = 1
 
     @property
-    def groups(self) -> tuple[ToneGroup, ...]:
+    def groups(self) -> tuple[_ToneGroup, ...]:
         """All groups in the order of measuring, so that drift is no amplitude and no frequency."""
         rng = np.random.default_rng(self.seed)
         grid = [(f, a) for f in self.frequencies_hz for a in self.amplitudes_um]
         return tuple(
-            ToneGroup(grid[i][0], grid[i][1], repeat)
+            _ToneGroup(grid[i][0], grid[i][1], repeat)
             for repeat in range(1, self.repeats + 1)
             for i in rng.permutation(len(grid))
         )
@@ -261,7 +261,7 @@ def foreseen(tones: Planned) -> Observations:
     return observe(campaign, [_empty_run(plan, n, group) for n, group in enumerate(plan.groups, start=1)])
 
 
-def _empty_run(plan: TonePlan, number: int, group: ToneGroup) -> Run:
+def _empty_run(plan: TonePlan, number: int, group: _ToneGroup) -> Run:
     """Return a tone as if it had been measured, with a tool that does what it is told.
 
     It is as short and as slowly sampled as its harmonics allow: only the condition counts.

@@ -30,7 +30,7 @@ from dtwin.kinds.volumetric.motions import HeatTerm, family_of, motion_words
 from dtwin.statistics import holm
 from dtwin.units import shown_number
 
-Verdict = Literal["missing_effect", "ambiguous", "unknown_effect", "nothing_missing"]
+_Verdict = Literal["missing_effect", "ambiguous", "unknown_effect", "nothing_missing"]
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class HeatDiagnosis:
     ``one_body``: thermocouples whose names differ by their number alone, where there are no others.
     """
 
-    verdict: Verdict
+    verdict: _Verdict
     headline: str
     figures: dict[str, float]
     lack_of_fit_p: float
@@ -148,7 +148,7 @@ def diagnose_heat(series: HeatSeries, fitted: HeatFit, where: Sequence[dict[str,
     )
 
 
-def _verdict(movers: Sequence[Mover]) -> tuple[Verdict, tuple[Mover, ...]]:
+def _verdict(movers: Sequence[Mover]) -> tuple[_Verdict, tuple[Mover, ...]]:
     """Return the verdict and its motions: what is sure first, what nobody can help last."""
     explained = [m for m in movers if m.explained]
     sure = tuple(m for m in explained if m.is_sure)
@@ -171,7 +171,7 @@ def _grade(mover: Mover) -> str | None:
     return "law-confirmed" if mover.channel or len(mover.bodies) == 1 else "shape-consistent"
 
 
-def _experiment(verdict: Verdict, group: Sequence[Mover], *, small: bool) -> dict[str, Any] | None:
+def _experiment(verdict: _Verdict, group: Sequence[Mover], *, small: bool) -> dict[str, Any] | None:
     """Return what to measure next. ``small``: whether no motion counts by itself."""
     if verdict == "ambiguous":
         best, bodies = group[0], group[0].bodies
@@ -195,7 +195,7 @@ def _experiment(verdict: Verdict, group: Sequence[Mover], *, small: bool) -> dic
 
 
 def _headline(
-    verdict: Verdict, group: Sequence[Mover], movers: Sequence[Mover], figures: dict[str, float], p_value: float | None
+    verdict: _Verdict, group: Sequence[Mover], movers: Sequence[Mover], figures: dict[str, float], p_value: float | None
 ) -> str:
     """Return the verdict in words. ``p_value``: of the whole fit; None where a motion counts by itself."""
     together = ""

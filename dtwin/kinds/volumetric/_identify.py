@@ -14,7 +14,7 @@ from dtwin.schema import Floats
 
 FIXED_POSE = 0
 _CYCLES_FOR_NOISE, _ORDERS_FOR_NOISE = 30, (1, 2, 3)
-Numbers = NDArray[np.int64]
+_Numbers = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -28,8 +28,8 @@ class Balls:
 
     position_mm: Floats
     error_um: Floats
-    pose: Numbers
-    ball: Numbers
+    pose: _Numbers
+    ball: _Numbers
 
 
 @dataclass(frozen=True)

@@ -33,7 +33,7 @@ from dtwin.machines.volumetric import (
 from dtwin.progress import Progress
 from dtwin.schema import Floats, SignalGroup
 
-MACHINE = "virtual-volumetric-mill"
+_MACHINE = "virtual-volumetric-mill"
 _QUICK_EVERY = 3
 # Where the thermocouples sit: stuck on the castings, or every second one sunk into them.
 TRUTHS = {"surface": VolumetricParameters(), "pockets": VolumetricParameters(pocket_1=0.85)}
@@ -68,7 +68,7 @@ def simulate_volumetric(
     mill = VolumetricMill(SCHEDULES[schedule], parameters or VolumetricParameters(), seed, test)
     cycles = _planned_cycles(plan, mill) if plan else range(0, mill.cycles, _QUICK_EVERY if quick else 1)
     folder.mkdir(parents=True, exist_ok=True)
-    name, machine = (plan.name, plan.machine) if plan else (f"volumetric-{schedule}", MACHINE)
+    name, machine = (plan.name, plan.machine) if plan else (f"volumetric-{schedule}", _MACHINE)
     for done, cycle in enumerate(cycles):
         _write_cycle(folder, cycle, mill.measure(cycle), mill)
         progress(done + 1, len(cycles), f"hour {cycle}")
@@ -206,7 +206,7 @@ class ServedMill:
 
     def __init__(self, plan: BallPlan | None, truth: str, schedule: str, seed: int, *, quick: bool) -> None:
         self._mill = VolumetricMill(SCHEDULES[schedule], parameters_of(truth), seed)
-        self._machine = plan.machine if plan else MACHINE
+        self._machine = plan.machine if plan else _MACHINE
         n = _QUICK_CYCLES if quick else _CYCLES
         self._cycles: Sequence[int] = (
             _planned_cycles(plan, self._mill) if plan else range(0, _QUICK_EVERY * n, _QUICK_EVERY)

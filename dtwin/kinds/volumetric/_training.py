@@ -28,7 +28,7 @@ from dtwin.train.latency import bundle_latency
 from dtwin.train.results import Candidate, Scores, Training, TrainingReport
 from dtwin.train.symbolic import Engine
 
-HELD_OUT = "hours"
+_HELD_OUT = "hours"
 _SPANS = 5
 _Fit = Callable[[str, Floats, Floats, Sequence[str]], ThermalModel]
 
@@ -123,7 +123,7 @@ def _candidate(title: str, fit: _Fit, measured: Session, machine: str) -> Candid
         family=family,
         promotable=bundle is not None,
         complexity=sum(len(m.sensors) for m in models),
-        scores={HELD_OUT: _scores(measured, expected, spans)},
+        scores={_HELD_OUT: _scores(measured, expected, spans)},
         train_rms_um=rms(np.concatenate(changes_left_um(measured, fitted))),
         latency=None if bundle is None else bundle_latency(bundle),
         equation="" if bundle is None else "\n".join(_readable(m) for m in models),
@@ -168,7 +168,7 @@ def _scores(measured: Session, expected: Floats, spans: Sequence[Any]) -> Scores
     was, left = np.concatenate(before), np.concatenate(after)
     r2 = 1.0 - float(np.sum(left**2) / np.sum((was - was.mean()) ** 2))
     return Scores(
-        HELD_OUT, r2, rms(left), float(np.mean(np.abs(left))), ratios[worst], worst, len(spans), len(measured.hour)
+        _HELD_OUT, r2, rms(left), float(np.mean(np.abs(left))), ratios[worst], worst, len(spans), len(measured.hour)
     )
 
 
@@ -350,4 +350,4 @@ def heat_error(
 
 def heat_held_out(known: Sequence[Mapping[str, Any]], fresh: Sequence[Mapping[str, Any]]) -> HeldOut:
     """Return the error to be expected: with spans of hours left out."""
-    return held_out(HELD_OUT)
+    return held_out(_HELD_OUT)
