@@ -291,7 +291,7 @@ def further(story: str, case: int, k: float, bar: Bar) -> dict[str, Any]:
         "shown": shown,
         "unclear": shown and not _named(alone[0], right),
         "named": _named(groups, right),
-        "false alone": any(_false(one, right) for one in alone[: len(few)]),
+        "false alone": any(_false(one, right) for one in alone),
         "false": _false(groups, right),
         "contradicted": False,
         "covered": [],

@@ -37,8 +37,10 @@ def merged(
             if kept:
                 every.append((graded(kept), test.campaign))
     every.sort(key=lambda found: -(found[0][0].size_um or 0.0))
+    causes = [[key_of_suspect(s, library) for s in group] for group, _ in every]
     every, ruled_out = _of_one_size(known, every, tests, library)
-    every = [(group, where) for group, where in every if not _is_asked_later(group, where, every, library)]
+    asked = zip(every, causes, strict=True)
+    every = [(group, where) for (group, where), own in asked if not _is_asked_later(group, where, own, every, library)]
     alone = {key_of_suspect(group[0], library) for group, _ in every if len(group) == 1}
     out: list[Group] = []
     told: set[tuple[str, str]] = set()
@@ -75,21 +77,26 @@ def _of_one_size(
 
 
 def _is_asked_later(
-    group: tuple[Suspect, ...], where: str, groups: Sequence[Group], library: Mapping[str, Effect]
+    group: tuple[Suspect, ...],
+    where: str,
+    names: Sequence[tuple[str, str]],
+    groups: Sequence[Group],
+    library: Mapping[str, Effect],
 ) -> bool:
     """Tell whether one of the other names of a group is what another campaign shows first: what is left beside that is not known.
 
     Growth that lasers show on each axis is one of the names of what circles show best as a drift. Where that campaign does not
     tell it from the first name of the group either, both show one cause.
+
+    ``names``: causes and axes of the group, those ruled out for their sizes, too: growth that differs between axes is growth.
     """
     own, _ = key_of_suspect(group[0], library)
     others = [o for o, there in groups if there != where and own not in {key_of_suspect(s, library)[0] for s in o}]
     tops = {key_of_suspect(other[0], library) for other in others}
-    for suspect in group[1:]:
-        cause, axis = key_of_suspect(suspect, library)
-        if (cause, axis) in tops or (not axis and any(cause == top for top, _ in tops)):
-            return True
-    return False
+    return any(
+        cause != own and ((cause, axis) in tops or (not axis and any(cause == top for top, _ in tops)))
+        for cause, axis in names
+    )
 
 
 def _is_another_of(group: tuple[Suspect, ...], groups: list[Group]) -> bool:

@@ -212,9 +212,10 @@ class _Measured:
         return None
 
     def _beside_alike(self, effect: Effect, axis: str) -> bool:
-        """Tell whether an effect that looks alike was found on the same axis."""
+        """Tell whether an effect that looks alike was found on the same axis, or the same on all axes at once."""
         tops = [group[0].partition(" ") for group in self.groups]
-        return any(name in effect.confusables and (not own or own == axis) for name, _, own in tops)
+        alike, itself = {*effect.confusables, effect.name}, (effect.name, axis)
+        return any(name in alike and (not own or own == axis) and (name, own) != itself for name, _, own in tops)
 
     def unit(self, cause: _Cause) -> str:
         """Return the unit of the size of a cause."""

@@ -15,10 +15,11 @@ from dtwin.physics.effect import Effect
 from dtwin.physics.experiment import next_experiment
 from dtwin.physics.fit import Estimate
 from dtwin.physics.joint import Joint, MachineTest, joint
-from dtwin.physics.machine_terms import cause_of, key_of, machine_terms, seen_by
+from dtwin.physics.machine_terms import cause_of, key_of, machine_terms
 from dtwin.physics.observations import Observations
 from dtwin.physics.problem import Term
 from dtwin.physics.several import fit_several
+from dtwin.physics.several_sizes import nothing_of
 from dtwin.physics.several_twin import SeveralTwin, pooled_figures, started_of
 from dtwin.physics.twin import predict_um
 from dtwin.physics.undecided import doubts_of, undecided_together
@@ -131,11 +132,14 @@ def _without_denied(test: MachineTest, library: Mapping[str, Effect], seed: int)
 def _shown_together(
     twin: SeveralTwin, groups: list[Group], campaigns: Sequence[Observations], library: Mapping[str, Effect]
 ) -> tuple[list[Group], list[str]]:
-    """Leave out the names that one campaign finds and all that can see them do not; return what is left, and those names.
+    """Leave out the names that one campaign finds and all together do not; return what is left, and those names.
 
-    Each is sized in one fit of all campaigns beside everything else that was found.
+    Each is sized in one fit of all campaigns beside everything else that was found: what only one campaign can see may be what
+    others call by another name.
     """
     alone = {key_of_suspect(group[0], library) for group, _ in groups if len(group) == 1}
+    if not alone:
+        return groups, []
     known = {key_of(term) for term in twin.terms}
     more = [
         term
@@ -144,11 +148,7 @@ def _shown_together(
         if key_of(term) not in known
     ]
     terms = {key_of(term): term for term in (*twin.terms, *more)}
-    many = {k for k, t in terms.items() if sum(seen_by(t, obs, library) is not None for obs in campaigns) > 1}
-    if not many & alone:
-        return groups, []
-    sizes = fit_several(campaigns, list(terms.values()), library).estimates
-    absent = _absent([terms[key] for key in many], sizes)
+    absent = nothing_of(fit_several(campaigns, list(terms.values()), library))
     denied = [group[0].label for group, _ in groups if len(group) == 1 and key_of_suspect(group[0], library) in absent]
     return [(group, where) for group, where in groups if len(group) > 1 or group[0].label not in denied], denied
 

@@ -14,13 +14,15 @@ from dtwin.physics.machine_terms import key_of
 from dtwin.physics.problem import Term
 from dtwin.physics.several import SeveralFit, as_seen, of_machine
 from dtwin.schema import Floats
-from dtwin.statistics import k2_factor
+from dtwin.statistics import chi2_tail, k2_factor
 
 # As in the inverse of the normal equations: smaller eigenvalues tell nothing.
 _UNSEEN = 1e-10
 _ROUNDING_UM = 1e-6
 # Of the largest possible size: what is known no better is not told.
 _TOLD = 0.1
+# Beyond three standard uncertainties on either side.
+_THERE = 0.0027
 
 
 def sizes_of(fitted: SeveralFit) -> Sizes:
@@ -43,6 +45,24 @@ def sizes_of(fitted: SeveralFit) -> Sizes:
     for number, j, where in meaning:
         of.append(_quantity(fitted.terms[number], j) if number >= 0 and where == -1 else None)
     return Sizes(tuple(of), value, covariance + unseen @ unseen.T, np.where(dof > 0.0, dof, 1.0))
+
+
+def nothing_of(fitted: SeveralFit) -> set[tuple[str, str]]:
+    """Return cause and axis of the terms whose parameters, taken together, are nothing to three standard uncertainties, in every campaign.
+
+    Sizes that only have a meaning together, such as cosine and sine, or lags that look alike, are uncertain one by one.
+    """
+    sizes = sizes_of(fitted)
+    wide = np.array([k2_factor(float(dof)) for dof in sizes.dof]) / 2.0
+    covariance = sizes.covariance * np.outer(wide, wide)
+    _, meaning = fitted.pool.maps()
+    there = set()
+    for number, where in {(number, where) for number, _, where in meaning if number >= 0}:
+        own = [n for n, (t, _, w) in enumerate(meaning) if (t, w) == (number, where) and sizes.value[n] != 0.0]
+        chi2 = float(sizes.value[own] @ np.linalg.pinv(covariance[np.ix_(own, own)], hermitian=True) @ sizes.value[own])
+        if own and chi2_tail(chi2, float(len(own))) < _THERE:
+            there.add(key_of(fitted.terms[number]))
+    return {key_of(term) for term in fitted.terms} - there
 
 
 def with_sizes(fitted: SeveralFit, sizes: Sizes) -> SeveralFit:

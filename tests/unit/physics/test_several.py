@@ -23,7 +23,7 @@ from dtwin.physics.observations import Observations
 from dtwin.physics.problem import Term
 from dtwin.physics.several import SeveralFit, fit_several
 from dtwin.physics.several_diagnosis import diagnose_several
-from dtwin.physics.several_sizes import covariance_in, sizes_of
+from dtwin.physics.several_sizes import covariance_in, nothing_of, sizes_of
 from dtwin.physics.several_twin import SeveralTwin, several_twin_of, started_of
 from dtwin.report.faults import sized_effects
 from dtwin.report.several import _settled_lines
@@ -391,6 +391,35 @@ def test_bars_at_other_conditions_rule_out_what_would_need_another_size(
     assert name not in found.ruled_out
     assert other in _settled_lines(found.as_dict())[-1]
     assert diagnose_several(twin_of_all(bars, name.replace(" ", ":")), bars, LIBRARY).undecided == ()
+
+
+def test_a_name_by_chance_is_not_told_where_what_another_shows_explains_it() -> None:
+    """Circles that hardly see a scale of 1.4 ppm took it for a step at the changeover, which no laser can see."""
+    bar = circles(MillParameters().with_axis("X", scale_ppm=1.41421), 306)
+    campaigns = [bar, laser("X", 1.41421, 0.0, 612), laser("Y", 0.0, 0.0, 613)]
+    (shown,) = diagnose(bar, [], LIBRARY).found
+    assert [s.label for s in shown] == ["axis_changeover XY"]
+    said = diagnose_several(twin_of_all(campaigns), campaigns, LIBRARY)
+    assert [[s.label for s in group] for group in said.found] == [["lead_error X"]]
+    assert "one campaign alone would name axis_changeover XY" in said.headline
+
+
+def test_sizes_that_are_uncertain_one_by_one_are_something_together() -> None:
+    """Friction has two lags that look alike: 0.114 ± 0.086 and 0.025 ± 0.096 µm."""
+    bar = circles(MillParameters().with_axis("X", friction_mm_s2=0.85454), 102, repeats=10)
+    fitted = together([bar], "friction:X", "backlash:Y")
+    of_friction = [e for e in fitted.estimates if e.effect == "friction"]
+    assert all(abs(e.value) < 1.5 * e.uncertainty for e in of_friction)
+    assert nothing_of(fitted) == {("backlash", "Y")}
+
+
+def test_growth_that_differs_between_axes_by_chance_is_no_drift_of_the_circles() -> None:
+    """What one axis grows beside both was held against what a laser shows of it; and without one growth of both a drift was left."""
+    sizes = MillParameters().with_axis("X", growth_um_m_k=1.5831).with_axis("Y", growth_um_m_k=1.5831)
+    tests = [circles(sizes, 314), *(warmed(axis, 314, growth_um_m_k=1.5831) for axis in "XY")]
+    found = diagnose_several(twin_of_all(tests), tests, LIBRARY)
+    assert {"thermal_growth", "thermal_drift"} <= {s.label for s in found.tests[0].found.found[0]}
+    assert {group[0].label for group in found.found} == {"thermal_growth X", "thermal_growth Y"}
 
 
 def test_what_two_bars_show_is_one_cause_though_they_begin_with_other_names() -> None:
