@@ -383,12 +383,14 @@ def _denied(new: MachineTwin, old: MachineTwin) -> bool:
 
 
 def _unknown(name: str, axis: str, members: Sequence[Member], refused: Sequence[InputError]) -> InputError:
-    """Return the refusal of an effect that no campaign has."""
-    return InputError(
+    """Return the refusal of an effect that no campaign has; of a place where it cannot act, if some campaign knows the name."""
+    placed = next((one for one in refused if one.code != "effect.unknown"), None)
+    names = dict.fromkeys(known for one in refused for known in (one.allowed or "").partition(";")[0].split(", "))
+    return placed or InputError(
         "none of these campaigns has such an effect",
         code="effect.unknown",
         where=", ".join(campaign for member in members for campaign in member.campaigns),
-        got=f"{name}{f' on {axis}' if axis else ''}"[:60],
-        allowed="; or ".join(dict.fromkeys(str(one.allowed) for one in refused if getattr(one, "allowed", "")))[:400],
+        got=name[:60],
+        allowed=", ".join(names),
         hint="dtwin effects list",
     )

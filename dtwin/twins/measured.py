@@ -27,9 +27,11 @@ from dtwin.errors import InputError, StoreError
 from dtwin.features.encoder_split import Cutoff
 from dtwin.kinds.registry import kind_named
 from dtwin.lake.store import Lake
+from dtwin.machine_record import read_record
 from dtwin.physics import centres, grid, gridding, localise, observations
 from dtwin.physics.gridding import CIRCLE, N_BINS, Condition
 from dtwin.physics.observations import Observations, observe
+from dtwin.physics.screw import PITCH
 from dtwin.physics.twin import Twin, by_condition
 from dtwin.physics.whitening import PureError, pure_error, to_harmonics
 from dtwin.schema import Campaign, Floats, RunMeta, of_one_way, require_name
@@ -134,7 +136,19 @@ def load(home: Home, campaign: str) -> Loaded:
         "amended": [f.message for f in amendment_findings(rows) if f.code == AMENDED],
     }
     obs, controller_um = _reduced(home, lake, found, usable)
-    return Loaded(obs, data | {"wander_um": obs.wander_um}, controller_um)
+    return Loaded(_with_pitch(home, obs), data | {"wander_um": obs.wander_um}, controller_um)
+
+
+def _with_pitch(home: Home, obs: Observations) -> Observations:
+    """Return positions of an axis with the pitch of its screw that the machine's record states, where the campaign states none."""
+    campaign = obs.campaign
+    record = (
+        read_record(home, campaign.machine) if obs.there_and_back and PITCH not in campaign.machine_geometry else None
+    )
+    stated = [known["pitch_mm"] for axis in obs.axes if record and "pitch_mm" in (known := record.axes.get(axis, {}))]
+    if not stated:
+        return obs
+    return replace(obs, campaign=replace(campaign, machine_geometry={**campaign.machine_geometry, PITCH: stated[0]}))
 
 
 def rises_from_one(loaded: Sequence[Loaded]) -> list[Loaded]:

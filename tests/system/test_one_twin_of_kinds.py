@@ -150,6 +150,9 @@ def test_mistakes_are_refused_with_the_reason() -> None:
     printed("twin", "fit", "tracker", "room", "--effects", "follows", "--name", "wrong")
     assert refused("twin", "compare", "wrong", "--on", "bar").code == "twin.kind"
     assert refused("twin", "add", "wrong", "backlash:X").code == "effect.unknown"
+    assert refused("twin", "add", "wrong", "joint_zer").meant == "joint_zero"
+    nowhere = refused("twin", "add", "wrong", "lag@spindle")
+    assert (nowhere.code, nowhere.got) == ("effect.axis", "lag@spindle")
     assert refused("twin", "remove", "wrong", "joint_zero").code == "twin.no_effect"
     refusal = refused("twin", "correct", "wrong", "--on", "tracker")
     assert (refusal.code, refusal.got) == ("kind.not_offered", "poses")

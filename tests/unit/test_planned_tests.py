@@ -45,6 +45,7 @@ from dtwin.pipeline.sheet_changes import last_changes, sheet_changes
 from dtwin.plan_file import planned_document
 from dtwin.report.changes import changes_text
 from dtwin.schema import Run, RunMeta
+from dtwin.twins.measured import load
 from dtwin.workbench._access import Access
 from dtwin.workbench._bench import Bench
 from dtwin.workbench.server import application
@@ -97,6 +98,11 @@ def test_a_form_begins_with_the_last_test_of_any_kind(home: Home, tmp_path: Path
     assert plan["runs"] == 5
     # An error of 114 µm is outside of the usual window of a laser's trigger.
     assert plan["window"] == pytest.approx(0.23, abs=0.02)
+    # The laser counted from a zero of its own: its targets are outside of the travel that is stated since.
+    said("machine", "add", "mill-7", "--axis", "Y:low_mm=-200,high_mm=200,pitch_mm=10")
+    plan = draft_of(home, "mill-7")["plan"]
+    assert -200.0 < plan["start"] < plan["end"] < 200.0
+    assert load(home, "y-1").obs.campaign.machine_geometry == {"screw_pitch_mm": 10.0}
     tone = RunMeta("g1", "sinusoidal", condition={"axis": "Y", "frequency_hz": 7.0, "amplitude_um": 3.0})
     tones = kind_named("sinusoidal").draft("mill-7", {}, [Run(tone, {})])["plan"]
     assert (tones["axis"], tones["frequencies_hz"], tones["amplitudes_um"]) == ("Y", [7.0], [3.0])

@@ -71,7 +71,10 @@ def proposals(machine: str, axes: Mapping[str, Mapping[str, float]]) -> list[dic
 
 
 def draft(machine: str, axes: Mapping[str, Mapping[str, float]], last: Sequence[Run]) -> dict[str, Any]:
-    """Return a full plan of the axis and the stretch of the last test; else of the first axis."""
+    """Return a full plan of the axis and the stretch of the last test; else of the first axis.
+
+    A stretch outside of the stated travel was counted from a zero of its own: the axis has a plan of its travel then.
+    """
     axis = next((axis for axis in "XYZ" if axis in axes), "X")
     tested = str(last[0].meta.condition.get("axis", "")) if last else ""
     if tested not in tuple("XYZ"):
@@ -86,6 +89,8 @@ def draft(machine: str, axes: Mapping[str, Mapping[str, float]], last: Sequence[
     end_mm = round(first_mm + round((float(targets[-1]) - first_mm) / step) * step, 3)
     low_mm = known.get("low_mm", min(0.0, first_mm - _OVERSHOOT_MM))
     travel_mm = known.get("travel_mm", max(_TRAVEL_MM, end_mm + _OVERSHOOT_MM - low_mm))
+    if first_mm < low_mm or end_mm > low_mm + travel_mm:
+        return document
     document["plan"] |= {
         "name": f"{tested.lower()}-{round((end_mm - first_mm) / step) + 1}-targets",
         "start": first_mm,
