@@ -145,6 +145,13 @@ def shown_parameter(name: str) -> str:
     return name.replace("_mm_s", " mm/s").replace("_", " ")
 
 
+def shown_setting(name: str, value: str) -> str:
+    """Return a setting as people read it: ``frequency_hz`` as frequency 5 Hz."""
+    unit = unit_of(name)
+    ending = next((f"_{suffix}" for suffix in UNITS if unit and name.endswith(f"_{suffix}")), "")
+    return f"{name.removesuffix(ending).replace('_', ' ')} {value}{f' {shown_unit(unit)}' if unit else ''}"
+
+
 def unit_of(column: str) -> str | None:
     """Return the unit that a column name ends with.
 

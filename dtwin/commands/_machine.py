@@ -298,10 +298,12 @@ def _axis_line(axis: str, known: Mapping[str, float]) -> str:
 
 
 def _history_text(history: Mapping[str, Any]) -> str:
+    from dtwin.pipeline.machine_report import tolerance_words
     from dtwin.units import shown_unit
 
     lines = [history["machine"], *(f"  {key}: {value}" for key, value in history["facts"].items())]
     lines += [_axis_line(axis, known) for axis, known in history["axes"].items()]
+    lines += [f"  {symbol} {tolerance_words(symbol, limit)}" for symbol, limit in history["tolerances"].items()]
     rows = [[e["on"], e["note"] or "-", e["what"], "-", "-", "-"] for e in history["events"]]
     rows += [
         [
@@ -322,6 +324,9 @@ def _history_text(history: Mapping[str, Any]) -> str:
         lines += ["", *_series_lines(history["series"])]
     if history["next_test"]:
         lines += ["", f"next test: {history['next_test']['on']}, {history['next_test']['why']}"]
+    if known := history["known"]:
+        sizes = [f"  {one['title']}: {one['size']}" for one in known["effects"]]
+        lines += ["", f"what twin {known['twin']} knows, of {', '.join(known['campaigns'])} (k = 2)", *sizes]
     lines += ["", f"twins: {', '.join(history['twins']) or 'none'}", f"champion: {history['champion'] or 'none'}"]
     return "\n".join(lines)
 

@@ -368,8 +368,11 @@ def _headline(
         single = all(len(group) == 1 for group, _ in groups)
         said = f"{names} {'is' if len(groups) == 1 else 'are'} missing" if single else names
     else:
-        quiet = [test for test in tests if not test.found.found]
-        said = "; ".join(f"{test.campaign}: {test.found.headline}" for test in quiet) or "nothing that all agree on"
+        quiet: dict[str, list[str]] = {}
+        for test in tests:
+            if not test.found.found:
+                quiet.setdefault(test.found.headline, []).append(test.campaign)
+        said = "; ".join(f"{', '.join(names)}: {line}" for line, names in quiet.items()) or "nothing that all agree on"
     if denied:
         said += f"; one campaign alone would name {', '.join(denied)}, all that see it together do not"
     for one in apart:

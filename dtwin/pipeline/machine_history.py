@@ -21,8 +21,10 @@ from dtwin.pipeline.catalogue import Overview, TwinLine, catalogue, twin_lines
 from dtwin.pipeline.kept import kept, kept_already, sheet_of_campaign, stamp_of, variation_of
 from dtwin.pipeline.machine_series import ALARMS, Point, Series, judged_series, next_test
 from dtwin.progress import Progress, silent
+from dtwin.report.faults import sized_effects, title_of
 from dtwin.report.sheet import number_of
 from dtwin.serve.pointer import resolve
+from dtwin.twins.of_kind import paths_of
 from dtwin.twins.verbs import Twins
 
 
@@ -102,7 +104,7 @@ def _stamp(
     """Return a hash of what the history of a machine is made of."""
     record = read_record(home, machine)
     made_of = [
-        "with the names of other figures",
+        "with what a twin knows",
         Lake(home.lake).files_by_campaign(machine) if files is None else files,
         None if record is None else record.as_dict(),
         [(twin.name, twin.changed) for twin in twins],
@@ -159,8 +161,32 @@ def _history(
         "tests": tests,
         "series": judged,
         "others": [one.name for one in others.values() if len(one.points) > 1],
+        "known": _known(home, library, names, [name for name, _ in ordered]),
         "next_test": next_test(judged, record, overview["last_test"]),
     }
+
+
+def _known(
+    home: Home, library: Mapping[str, Effect], names: Sequence[str], tests: Sequence[str]
+) -> dict[str, Any] | None:
+    """Return what a twin says of the machine: that with the newest test of a path, of several the one with most tests.
+
+    ``names``: its twins; ``tests``: its campaigns, in the order of their days.
+    """
+    found: list[tuple[int, int, str, Twin]] = []
+    for name in names:
+        try:
+            twin = paths_of(home, library, name)
+        except InputError:
+            continue
+        days = [tests.index(campaign) for campaign in twin.campaigns if campaign in tests]
+        found += [(max(days), len(days), name, twin)] if days and twin.terms else []
+    if not found:
+        return None
+    *_, name, twin = max(found, key=lambda one: one[:2])
+    titles = [title_of(term.label, library) for term in twin.terms]
+    sizes = [{"title": title, **one} for title, one in zip(titles, sized_effects(twin), strict=True)]
+    return {"twin": name, "version": twin.version, "campaigns": list(twin.campaigns), "effects": sizes}
 
 
 def _copied(rows: Sequence[Mapping[str, Any]], name: str, first: dict[str, str]) -> str:

@@ -22,7 +22,7 @@ def machine_report(history: Mapping[str, Any], language: str = "en") -> str:
     """Return the report of a machine as one page that needs nothing else; ``history``: as ``machine_history`` returns it."""
     last = f", the last on {history['last_test']}" if history["last_test"] else ""
     about = f"Tests: {len(history['campaigns'])}{last}; made by dtwin"
-    sections = [_changes(history), *_over_time(history), _tests(history), *_known(history)]
+    sections = [_changes(history), *_over_time(history), *_by_a_twin(history), _tests(history), *_known(history)]
     words = Language(language, history["campaigns"])
     return page(f"Machine {history['machine']}", about, sections, words)
 
@@ -82,6 +82,13 @@ def _over_time(history: Mapping[str, Any]) -> list[Section]:
     )
     figures = [series_figure(one, history["events"]) for one in history["series"]]
     return [Section("Figures over time", [said], [], [Table(head, rows)], figures)]
+
+
+def _by_a_twin(history: Mapping[str, Any]) -> list[Section]:
+    if not (known := history["known"]):
+        return []
+    rows = [(one["title"], one["size"]) for one in known["effects"]]
+    return [Section("What its twin knows", [], [], [Table(("effect", "size (k = 2)"), rows)])]
 
 
 def _tests(history: Mapping[str, Any]) -> Section:

@@ -23,7 +23,7 @@ from dtwin.units import shown_number, shown_parameter, shown_unit
 AS_ZERO = "These runs do not tell it from zero."
 """What is said in place of the remedy of an effect that may be nothing at all."""
 _PICTURE_PX = 72
-_LABEL = re.compile(r"\b[a-z]+(?:_[a-z]+)*\b(?: [A-Z]{1,2}\b)?")
+_LABEL = re.compile(r"\b[a-z]+(?:_[a-z]+)*\b(?:[ :][A-Z]{1,2}\b)?")
 
 
 @dataclass(frozen=True)
@@ -153,8 +153,9 @@ def in_titles(text: str, library: Mapping[str, Effect]) -> str:
     """Return a text in which effects that stand by the names that commands take, with an axis or an underline, have their titles."""
 
     def told(label: re.Match[str]) -> str:
-        name, _, axis = label[0].partition(" ")
-        return title_of(label[0], library) if name in library and (axis or "_" in name) else label[0]
+        own = label[0].replace(":", " ")
+        name, _, axis = own.partition(" ")
+        return title_of(own, library) if name in library and (axis or "_" in name) else label[0]
 
     return _LABEL.sub(told, text)
 

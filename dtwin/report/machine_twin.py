@@ -9,7 +9,7 @@ from typing import Any
 from dtwin.report.faults import with_k2
 from dtwin.report.html import Part, Section, Table, told_section
 from dtwin.report.several import contradiction_lines
-from dtwin.report.text import micrometres, table
+from dtwin.report.text import gain_words, micrometres, table
 from dtwin.report.twin_of_kind import report_of
 from dtwin.report.twin_plots import ranked_figure, waterfall_figure
 from dtwin.report.twins import history_table, number
@@ -85,7 +85,9 @@ def comparison_sections(found: Any, result: Mapping[str, Any]) -> list[Section]:
     if found is None:
         return [Section("Measured against predicted", code=[comparison_text(result)])]
     return [
-        made if one["campaign"] in made.title else replace(made, title=f"{made.title}: {one['campaign']}")
+        made
+        if any(name in made.title for name in one["campaign"].split(", "))
+        else replace(made, title=f"{made.title}: {one['campaign']}")
         for part, one in zip(found.parts, result["members"], strict=True)
         for made in report_of(one).comparison_sections(part, one)
     ]
@@ -135,7 +137,7 @@ def _as_text(shown: Table) -> str:
 def candidate_table(candidates: Sequence[Mapping[str, Any]]) -> list[Table]:
     """Return the table of what may be missing; nothing for none."""
     rows = [
-        (c["label"], f"{100 * c['cv_gain']:z.1f} %", f"{c['p_value']:.1g}", "yes" if c["in_group"] else "")
+        (c["label"], gain_words(c["cv_gain"]), f"{c['p_value']:.1g}", "yes" if c["in_group"] else "")
         for c in candidates
     ]
     return [Table(("effect", "gain held out", "p", "in group"), rows)] if rows else []

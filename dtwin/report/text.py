@@ -130,6 +130,11 @@ def micrometres(value: float | None) -> str:
     return f"{value:z.2f}" if abs(value) >= _NANOMETRES or value == 0.0 else shown_number(value)
 
 
+def gain_words(gain: float) -> str:
+    """Return a relative gain in %; worse than -100 % no number says more."""
+    return f"{100.0 * gain:z.1f} %" if gain >= -1.0 else "< -100 %"
+
+
 def circle_figure(title: str, value: float | None) -> str:
     """Return a figure of a circle to a tenth of a micrometre, or of a mm/min; ``title`` ends with its unit; absent ones as a dash."""
     return "-" if value is None else f"{value:z.{4 if title.endswith(', mm') else 1}f}"

@@ -13,7 +13,7 @@ from dtwin.physics.effect import Effect
 from dtwin.physics.grid import Grid
 from dtwin.physics.gridding import CIRCLE
 from dtwin.physics.library import Library
-from dtwin.report.faults import title_of
+from dtwin.report.faults import in_titles, title_of
 from dtwin.report.plots import (
     BEHIND_TEXT,
     COLOURS,
@@ -33,6 +33,7 @@ _CURVES = (COLOURS["measured"], COLOURS["second"], COLOURS["third"], COLOURS["fo
 _NOMINAL = ("nominal", 0.0, {"line": {"color": COLOURS["floor"], "width": 1, "dash": "dot"}, "hoverinfo": "skip"})
 _ALONG = {"angle_deg": "path angle", "position_mm": "position", "phase_deg": "phase of the command"}
 _CELLS = 72
+_LONGEST_STEP, _MOST_STEPS = 26, 8
 # A row of a map, and the highest map.
 _ROW_PX, _MAP_PX = 16, 800
 _STEPS = (0.25, 0.5, 1.0, 2.0, 4.0)
@@ -198,13 +199,19 @@ def residual_map(
     return styled(figure)
 
 
-def waterfall_figure(rungs: Sequence[Mapping[str, Any]], begun: str = "set-up only") -> go.Figure:
+def waterfall_figure(
+    rungs: Sequence[Mapping[str, Any]], begun: str = "set-up only", library: Mapping[str, Effect] | None = None
+) -> go.Figure:
     """Return how the error fell from version to version (``Twins.history``), down to the noise floor.
 
-    ``begun``: what the error before the first of them is called.
+    ``begun``: what the error before the first of them is called; ``library``: as for :func:`ranked_figure`.
     """
+    library = Library() if library is None else library
     first = rungs[0]
-    names = [begun, *(f"v{r['version']} {r['action']}" for r in rungs)]
+    steps = [begun, *(f"v{r['version']} {in_titles(r['action'], library)}" for r in rungs)]
+    # Long steps, or many, would leave no room for the bars; the table beside the plot has them, too.
+    short = max(map(len, steps)) <= _LONGEST_STEP and len(steps) <= _MOST_STEPS
+    names = steps if short else [begun, *(f"v{r['version']}" for r in rungs)]
     heights = [first["rms_before_um"], *(r["rms_after_um"] for r in rungs)]
     figure = go.Figure(
         go.Bar(
@@ -213,6 +220,7 @@ def waterfall_figure(rungs: Sequence[Mapping[str, Any]], begun: str = "set-up on
             marker_color=[COLOURS["second"]] + [COLOURS["measured"]] * len(rungs),
             text=[micrometres(h) for h in heights],
             textposition="outside",
+            hovertext=steps,
             name="residual RMS",
         )
     )

@@ -16,7 +16,7 @@ from dtwin.physics.twin import Twin, data_lines
 from dtwin.report.encoder_split import encoder_section, encoder_text, tells
 from dtwin.report.faults import faults, not_told, title_of, told_of, undecided_lines, with_k2
 from dtwin.report.html import Part, Section, Table, parts_text, told_section
-from dtwin.report.text import listed, micrometres, table
+from dtwin.report.text import gain_words, listed, micrometres, table
 from dtwin.report.twin_plots import along_figure, overlay_figure, ranked_figure, residual_map, waterfall_figure
 from dtwin.schema import Floats
 from dtwin.statistics import deviation_interval
@@ -183,7 +183,7 @@ def _diagnosis_parts(name: str, result: Mapping[str, Any]) -> list[Part]:
                 f"{c['effect']} {c['axis']}".strip(),
                 *((c["campaign"], micrometres(left.get(c["campaign"]))) if left else ()),
                 micrometres(c["rms_after_um"]),
-                f"{100 * c['cv_gain']:z.1f} %",
+                gain_words(c["cv_gain"]),
                 number(c["p_value"], 2),
                 c["grade"] or "",
                 "yes" if c["in_group"] else "",
@@ -246,7 +246,7 @@ def found_table(result: Mapping[str, Any], library: Mapping[str, Effect] | None 
             listed([title_of(f"{c['effect']} {c['axis']}".strip(), library or {}) for c in group], " or "),
             micrometres(group[0]["size_um"]),
             _sizes_of_first(group),
-            f"{100 * group[0]['cv_gain']:z.1f} %",
+            gain_words(group[0]["cv_gain"]),
             group[0]["grade"] or "",
             ", ".join(group[0]["tested"]) or "-",
             ", ".join(group[0]["untested"]) or "-",

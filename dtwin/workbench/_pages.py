@@ -19,10 +19,10 @@ from dtwin.local_time import local_time
 from dtwin.pipeline.machine_report import tolerance_words
 from dtwin.report.faults import grouped, in_titles, title_of
 from dtwin.report.pdf import browser
-from dtwin.report.text import VERDICTS, micrometres
+from dtwin.report.text import VERDICTS, gain_words, micrometres
 from dtwin.report.twins import condition_words, number, place_words
 from dtwin.twins.diagnosing_code import is_of_other_code
-from dtwin.units import shown_unit
+from dtwin.units import is_number, shown_setting, shown_unit
 from dtwin.workbench._access import NEEDED, OTHERWISE
 from dtwin.workbench._bench import Bench, bench_of
 from dtwin.workbench._jobs import Job, Tell
@@ -46,9 +46,11 @@ def um(value: float | None) -> str:
 
 
 def stated(row: Mapping[str, Any]) -> str:
-    """Return the conditions of a run that is no circle, for example ``axis Z, frequency_hz 5``."""
+    """Return the conditions of a run that is no circle, for example ``axis Z, frequency 5 Hz``."""
     condition = json.loads(row["condition_json"])
-    words = (f"{name} {number(value, 6) if isinstance(value, float) else value}" for name, value in condition.items())
+    words = (
+        shown_setting(name, number(value, 6) if is_number(value) else str(value)) for name, value in condition.items()
+    )
     return ", ".join(words) or "not stated"
 
 
@@ -60,6 +62,7 @@ _ENVIRONMENT.policies["json.dumps_kwargs"] = {"sort_keys": False}
 _ENVIRONMENT.filters |= {
     "when": when,
     "um": um,
+    "gain": gain_words,
     "plain": number,
     "condition": condition_words,
     "place": place_words,

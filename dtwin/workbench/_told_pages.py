@@ -13,6 +13,7 @@ from dtwin.kinds.volumetric.heat_twins import HeatTwins
 from dtwin.kinds.volumetric.motions import FAMILIES
 from dtwin.kinds.volumetric.twin_report import term_table
 from dtwin.physics.twin import Twin
+from dtwin.report.faults import faults, grouped
 from dtwin.report.html import Table
 from dtwin.report.machine_twin import captioned
 from dtwin.report.several import contradiction_lines
@@ -38,6 +39,7 @@ def told_page(request: Request, name: str, on: str = "") -> Response:
     twin = twins.newest(name)
     diagnosis = reading.diagnosis_of(bench, name, twin.version)
     compared, figures = _comparison(bench, name, on)
+    parts = [part for part in getattr(twin, "members", ()) if isinstance(part, Twin)]
     return rendered(
         request,
         "told.html",
@@ -49,7 +51,10 @@ def told_page(request: Request, name: str, on: str = "") -> Response:
         compared=report_of(compared).comparison_text(compared),
         figures=[figure.layout.title.text for figure in figures],
         contradictions=contradiction_lines(twin.as_dict()),
-        paths=[c for part in getattr(twin, "members", ()) if isinstance(part, Twin) for c in part.campaigns],
+        paths=[c for part in parts for c in part.campaigns],
+        faults=grouped(
+            [[f] for part in parts for f in faults(part, None, bench.library)], lambda alike: alike[0].group
+        ),
         learnable=bench.able_to(twin, "laws"),
         correctable=bench.able_to(twin, "twin_correction"),
         diagnosis=diagnosis,

@@ -270,7 +270,7 @@ def encoder(bench: Here, name: str, on: str = "") -> Response:
 def waterfall(bench: Here, name: str) -> Response:
     """Return how the error fell from version to version."""
     begun = "set-up only" if isinstance(bench.twins_with(name), Twins) else "no effects"
-    return drawn(waterfall_figure(bench.twins.history(name), begun))
+    return drawn(waterfall_figure(bench.twins.history(name), begun, bench.library))
 
 
 @router.get("/api/twins/{name}/ranked")

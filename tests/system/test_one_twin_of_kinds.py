@@ -133,7 +133,10 @@ def test_the_loop_takes_a_cause_everywhere_and_names_who_contradicts(home: Home)
     assert [t.label for t in loop.twin.terms if loop.disagreed_on(t)] == ["joint_offset 2"]
     printed("machine", "event", "cobot-1", "crash", "--on", "2026-05-20")
     assert "since the crash of 2026-05-20" in printed("twin", "compare", "loop")
-    assert "since the crash of 2026-05-20" in client(home).get("/twins/loop").text
+    page = client(home).get("/twins/loop").text
+    assert "since the crash of 2026-05-20" in page
+    assert "What the twin knows of cobot-1" in page
+    assert "add joint_" not in page
     removed = said("twin", "remove", "loop", "ambient_growth")
     assert "thermal_growth" not in {name for effect in removed["effects"] for name in effect["names"]}
     added = said("twin", "add", "loop", "thermal_growth")

@@ -3,7 +3,7 @@ import math
 import pytest
 
 from dtwin.errors import InputError
-from dtwin.units import is_number, require_units, shown_number, shown_unit
+from dtwin.units import is_number, require_units, shown_number, shown_setting, shown_unit
 
 
 @pytest.mark.parametrize("value", [0, -2.5, 1e300])
@@ -40,6 +40,12 @@ def test_numbers_for_people_are_rounded_and_have_no_exponent(value: float, digit
     assert shown_number(value, digits) == shown
     if value > 0.0:
         assert shown_number(value, digits, sign="+") == f"+{shown}"
+
+
+def test_settings_are_words_with_their_units() -> None:
+    told = [("axis", "Z"), ("frequency_hz", "5"), ("z_bandwidth_hz", "50"), ("amplitude_um", "2")]
+    shown = [shown_setting(name, value) for name, value in told]
+    assert shown == ["axis Z", "frequency 5 Hz", "z bandwidth 50 Hz", "amplitude 2 µm"]
 
 
 @pytest.mark.parametrize("name", ["temperature_x\n[gcode_macro P]\n_c", "a\u2028b_um", "a\x1b[2J_um", "\u202ea_um"])

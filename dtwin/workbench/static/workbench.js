@@ -122,7 +122,7 @@ async function draw(figure) {
     if (canvas.hidden) return;
     found.layout.margin = { ...found.layout.margin, t: 50 };
     if (window.innerWidth < 700) {
-      found.layout.margin = { l: 48, r: 12, t: 20, b: 60 };
+      found.layout.margin = { l: 48, r: found.layout.polar ? 48 : 12, t: 20, b: 60 };
       found.layout.legend = { orientation: "h", y: -0.18, yanchor: "top" };
     }
     canvas.style.minHeight = `${found.layout.height}px`;

@@ -25,6 +25,7 @@ def test_sentences_for_people_have_titles_in_place_of_names_for_commands() -> No
     assert in_titles("tells scale_mismatch X from friction Y; friction with thermal_drift", LIBRARY) == (
         "tells Scale mismatch X from Friction Y; friction with Drift"
     )
+    assert in_titles("add lead_error:X, backlash:X", LIBRARY) == "add Lead error X, Backlash X"
 
 
 def estimate(name: str, value: float, uncertainty: float, unit: str = "um", *, told: bool = True) -> Estimate:

@@ -1,4 +1,4 @@
-"""Pictures of a machine's history."""
+"""Pictures of a machine's history and of the versions of a twin."""
 
 from __future__ import annotations
 
@@ -10,6 +10,8 @@ import pytest
 from dtwin.machine_record import MachineRecord
 from dtwin.pipeline.machine_series import Point, Series, judged_series
 from dtwin.report.history_plots import series_figure
+from dtwin.report.text import gain_words
+from dtwin.report.twin_plots import waterfall_figure
 
 
 def series(days: list[str]) -> dict[str, Any]:
@@ -59,3 +61,15 @@ def test_the_noise_floor_of_tests_is_drawn_about_each_level_and_named_once() -> 
     assert regime["floor"] == pytest.approx(regime["expanded"] * 7**0.5)
     assert told["floor"] == f"± {regime['floor']:.2f}"
     assert "test that raised an alarm" in [trace.name for trace in figure.data]
+
+
+@pytest.mark.parametrize("action", ["add scale_mismatch XY", "add link_geometry@J1, link_geometry@J2"])
+def test_long_steps_of_a_twin_leave_room_for_their_bars(action: str) -> None:
+    rungs = [{"version": 1, "action": action, "rms_before_um": 2.0, "rms_after_um": 1.0, "noise_floor_um": 0.5}]
+    (bars,) = waterfall_figure(rungs).data
+    assert bars.x[1] == ("v1" if "@" in action else "v1 add Scale mismatch XY")
+    assert bars.hovertext[1].startswith("v1 add ")
+
+
+def test_a_gain_that_no_number_tells_is_no_number() -> None:
+    assert [gain_words(gain) for gain in (0.127, -0.096, -14.8)] == ["12.7 %", "-9.6 %", "< -100 %"]
