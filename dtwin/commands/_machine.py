@@ -298,7 +298,7 @@ def _axis_line(axis: str, known: Mapping[str, float]) -> str:
 
 
 def _history_text(history: Mapping[str, Any]) -> str:
-    from dtwin.pipeline.machine_report import tolerance_words
+    from dtwin.pipeline.machine_report import tolerance_words, until
     from dtwin.units import shown_unit
 
     lines = [history["machine"], *(f"  {key}: {value}" for key, value in history["facts"].items())]
@@ -326,7 +326,8 @@ def _history_text(history: Mapping[str, Any]) -> str:
         lines += ["", f"next test: {history['next_test']['on']}, {history['next_test']['why']}"]
     if known := history["known"]:
         sizes = [f"  {one['title']}: {one['size']}" for one in known["effects"]]
-        lines += ["", f"what twin {known['twin']} knows, of {', '.join(known['campaigns'])} (k = 2)", *sizes]
+        of = f"what twin {known['twin']} knows (k = 2), of {', '.join(known['campaigns'])}: {until(known)}"
+        lines += ["", of, *sizes]
     lines += ["", f"twins: {', '.join(history['twins']) or 'none'}", f"champion: {history['champion'] or 'none'}"]
     return "\n".join(lines)
 

@@ -104,7 +104,7 @@ def _stamp(
     """Return a hash of what the history of a machine is made of."""
     record = read_record(home, machine)
     made_of = [
-        "with what a twin knows",
+        "with what a twin knows, and until when",
         Lake(home.lake).files_by_campaign(machine) if files is None else files,
         None if record is None else record.as_dict(),
         [(twin.name, twin.changed) for twin in twins],
@@ -161,32 +161,36 @@ def _history(
         "tests": tests,
         "series": judged,
         "others": [one.name for one in others.values() if len(one.points) > 1],
-        "known": _known(home, library, names, [name for name, _ in ordered]),
+        "known": _known(home, library, names, tests),
         "next_test": next_test(judged, record, overview["last_test"]),
     }
 
 
 def _known(
-    home: Home, library: Mapping[str, Effect], names: Sequence[str], tests: Sequence[str]
+    home: Home, library: Mapping[str, Effect], names: Sequence[str], tests: Sequence[Mapping[str, Any]]
 ) -> dict[str, Any] | None:
     """Return what a twin says of the machine: that with the newest test of a path, of several the one with most tests.
 
-    ``names``: its twins; ``tests``: its campaigns, in the order of their days.
+    ``names``: its twins; ``tests``: in the order of their days.
+    Returns ``last_test``: day of the newest test of the twin; ``later``: tests since, which it does not have.
     """
+    order = [test["campaign"] for test in tests]
     found: list[tuple[int, int, str, Twin]] = []
     for name in names:
         try:
             twin = paths_of(home, library, name)
         except InputError:
             continue
-        days = [tests.index(campaign) for campaign in twin.campaigns if campaign in tests]
+        days = [order.index(campaign) for campaign in twin.campaigns if campaign in order]
         found += [(max(days), len(days), name, twin)] if days and twin.terms else []
     if not found:
         return None
-    *_, name, twin = max(found, key=lambda one: one[:2])
+    last, _, name, twin = max(found, key=lambda one: one[:2])
+    day = tests[last]["started"][:10]
     titles = [title_of(term.label, library) for term in twin.terms]
     sizes = [{"title": title, **one} for title, one in zip(titles, sized_effects(twin), strict=True)]
-    return {"twin": name, "version": twin.version, "campaigns": list(twin.campaigns), "effects": sizes}
+    said = {"twin": name, "version": twin.version, "campaigns": list(twin.campaigns), "effects": sizes}
+    return {**said, "last_test": day, "later": order[last + 1 :]}
 
 
 def _copied(rows: Sequence[Mapping[str, Any]], name: str, first: dict[str, str]) -> str:

@@ -33,6 +33,12 @@ def overdue(history: Mapping[str, Any]) -> bool:
     return bool(due) and str(due["on"]) < local_day().isoformat()
 
 
+def until(known: Mapping[str, Any]) -> str:
+    """Return in words of which day the newest test of a twin is, and how many later ones it does not have; ``known``: of a history."""
+    day = f"the newest of {known['last_test']}" if known["last_test"] else "of no stated day"
+    return f"{day}; later tests that are not in it: {len(known['later'])}" if known["later"] else day
+
+
 def tolerance_words(symbol: str, limit: Any) -> str:
     """Return a tolerance as people write it: ``≤ 10 µm``."""
     unit = shown_unit(unit_of_limit(symbol))
@@ -88,7 +94,8 @@ def _by_a_twin(history: Mapping[str, Any]) -> list[Section]:
     if not (known := history["known"]):
         return []
     rows = [(one["title"], one["size"]) for one in known["effects"]]
-    return [Section("What its twin knows", [], [], [Table(("effect", "size (k = 2)"), rows)])]
+    said = [f"By {', '.join(known['campaigns'])}", until(known)]
+    return [Section("What its twin knows", said, [], [Table(("effect", "size (k = 2)"), rows)])]
 
 
 def _tests(history: Mapping[str, Any]) -> Section:

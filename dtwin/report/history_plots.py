@@ -117,7 +117,7 @@ def _add_level(figure: go.Figure, days: Sequence[str], regime: Mapping[str, Any]
         mean, half = regime["mean"], regime["expanded"]
         name, heights, line = "level", [mean, mean], {"color": COLOURS["floor"], "width": 1.5}
         if half is not None:
-            _add_band(figure, days, regime, (mean, mean), half, "95 % of the level", _BAND)
+            _add_band(figure, days, regime, (mean, mean), half, "where the level lies, with 95 %", _BAND)
     figure.add_trace(go.Scatter(x=ends, y=heights, mode="lines", line=line, hoverinfo="skip", **_once(figure, name)))
 
 

@@ -19,7 +19,7 @@ from dtwin.pipeline.catalogue import outlines
 from dtwin.pipeline.machine_history import drop_machine, machine_overviews, other_series
 from dtwin.pipeline.machine_joint import is_compared, machine_joint
 from dtwin.pipeline.machine_next import machine_next
-from dtwin.pipeline.machine_report import machine_report, overdue
+from dtwin.pipeline.machine_report import machine_report, overdue, until
 from dtwin.pipeline.machine_series import SORTED_BY, TESTS_PER_FALSE_ALARM, by_size, calendar_of, worst_newest
 from dtwin.report.faults import title_of
 from dtwin.report.history_plots import chart_figure, series_figure
@@ -128,6 +128,7 @@ def machine_page(request: Request, bench: Here, name: str) -> Response:
         changes=by_size(history["series"]),
         sorted_by=SORTED_BY,
         overdue=overdue(history),
+        until=until,
         figures=_figures_of(history),
         false_alarms=TESTS_PER_FALSE_ALARM,
         known_events=EVENTS,

@@ -238,7 +238,7 @@ def test_a_crash_shows_in_the_history_of_figures_and_of_fault_sizes(home: Home) 
     sizes = [abs(p["value"]) for p in series["Backlash, X"]["points"]]
     assert sum(sizes) / len(sizes) == pytest.approx(2.0, abs=0.3)
     known = cast(dict[str, Any], shown["known"])
-    assert (known["twin"], known["campaigns"]) == ("mill-7", ["t00"])
+    assert (known["twin"], known["campaigns"], len(known["later"])) == ("mill-7", ["t00"], 7)
     titles = [f"{one['title']}: {one['size']}" for one in known["effects"]]
     assert titles[0].startswith("Backlash X: -2.0")
     assert shown["next_test"] == {"on": "2025-09-03", "why": "a test is wanted every 30 days"}
@@ -251,6 +251,7 @@ def test_a_crash_shows_in_the_history_of_figures_and_of_fault_sizes(home: Home) 
     assert re.search("Rechtwinkligkeitsabweichung, XY änderte sich um [-+]", report)
     assert "Die nächste Messung war am 2025-09-03 fällig: alle 30 Tage soll gemessen werden" in report
     assert "Was ihr Zwilling weiß" in report
+    assert "die neueste vom 2025-01-06; spätere Messungen, die nicht darin sind: 7" in report
     assert 'lang="en"' not in report.partition("<body>")[2]
     # What was measured stays; a name that was mistyped goes.
     kept = CliRunner().invoke(app, ["machine", "remove", "mill-7"]).exception
