@@ -535,7 +535,7 @@ def test_one_button_finds_and_adds_all_that_the_runs_can_tell(page: Page, bench:
     page.screenshot(path=artifacts / "found.png", full_page=True)
     page.get_by_role("button", name="Find and add all").click()
     page.wait_for_url("**/twins/bare/versions")
-    for name in ("backlash X", "scale_mismatch XY", "squareness XY"):
+    for name in ("Backlash X", "Scale mismatch XY", "Squareness XY"):
         expect(page.get_by_text(f"add {name}").first).to_be_visible()
 
 

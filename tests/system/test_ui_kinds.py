@@ -76,8 +76,8 @@ def said(bench: Workbench, path: str) -> str:
 @pytest.mark.parametrize(
     ("twin", "campaign", "run", "words"),
     [
-        ("axis", "z", "z-1", ("Z forward", "Error over the position", "screw_pitch_mm 6.35")),
-        ("slide", "slow-tool-servo-linear", "g001", ("Z 10 Hz 5 µm", "Error over the phase", "frequency_hz 10")),
+        ("axis", "z", "z-1", ("Z forward", "Error over the position", "screw pitch 6.35 mm")),
+        ("slide", "slow-tool-servo-linear", "g001", ("Z 10 Hz 5 µm", "Error over the phase", "frequency 10 Hz")),
     ],
 )
 def test_every_page_of_another_kind_answers(
