@@ -25,7 +25,7 @@ EFFECT = Effect(
     parameters=(Parameter("backlash", "um", 5.0),),
     regressors=_columns,
     law=Law(0.0, 0.0, "odd"),
-    meaning="Lost motion in the drive: play in nut, coupling or gear, or wind-up of the screw.",
+    meaning="Lost motion in the drive: play in nut, coupling or gear, or wind-up of the screw. Below zero: the compensation in the control is too large.",
     formula="-(B / 2) sgn(v) cos(t) for the X axis, once the play is taken up",
     shapes=(ShapeParameter("standstill_um", "um", 3.0, (0.1, 4.0, 12.0), (0.0, 120.0)),),
     # A tone is told of larger machines, too, whose table stands still for as long as their play is wide.
@@ -33,7 +33,7 @@ EFFECT = Effect(
     also_tried_on=("sinusoidal",),
     looks_like="Steps where the axis reverses, in or out; the same at all feeds.",
     separate_by="Lower the feed: spikes shrink, a step stays.",
-    remedy="Preload or renew nut and bearings; else enter backlash compensation in the control. Below zero: the compensation in the control is too large.",
+    remedy="Preload or renew nut and bearings; else enter backlash compensation in the control.",
     reference="ISO 230-4:2022 annex B, influence of typical machine errors on circular paths",
     kinds=("circular", "linear", "sinusoidal"),
     confusables=("friction", "reversal_spike", "lateral_play"),
