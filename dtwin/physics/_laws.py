@@ -20,7 +20,7 @@ _CONFIRMED = 0.3
 _ALPHA = 0.002
 _ALPHA_MEASURED_WELL = 0.005
 _CERTAIN = 0.05
-# Half the relative difference of the directions; what happens in one of them has 1.
+# Half the relative difference between the directions: 1 for an effect that acts in one of them only.
 _ONE_WAY = 0.6
 # Time constants of a body that follows a logged channel, as shares of the campaign's length.
 _SLOW = (0.1, 0.3, 1.0)
@@ -161,9 +161,10 @@ def _tested(
 
 
 def _perhaps_beside(test: LawTest) -> LawTest:
-    """Return the test of a direction law where something unknown is left, which may be all that differs.
+    """Return the test of a direction law where something unknown is left: it may be all that differs between directions.
 
-    What is the same both ways leaves the half that is not as it is, and the other way round.
+    An unknown error that is the same both ways adds to an effect that turns with the direction in one of them, and takes from
+    it in the other. Such a law is not confirmed; it is broken where the effect acts nearly in one direction only.
     """
     if abs(test.shift) > _ONE_WAY:
         return test
