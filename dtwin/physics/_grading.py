@@ -13,6 +13,8 @@ from dtwin.physics.candidates import Candidate
 from dtwin.physics.diagnosis import Grade
 
 SHOWN = 8
+# Half the relative difference between the directions: 1 for an effect that acts in one of them only.
+_ONE_WAY = 0.6
 
 
 def laws_of(effect: Found, effects: int) -> Mapping[str, list[LawTest]]:
@@ -24,11 +26,23 @@ def laws_of(effect: Found, effects: int) -> Mapping[str, list[LawTest]]:
     out = {}
     for candidate in effect.group[:SHOWN]:
         if candidate.term.label not in effect.absorbed:
-            out[candidate.term.label] = [
+            tests = [
                 test if test.variable == "delay" else replace(test, p_value=min(1.0, effects * test.p_value))
                 for test in _own_tests(effect, candidate)
             ]
+            out[candidate.term.label] = tests if effect.level.misfit is None else [_beside_unknown(t) for t in tests]
     return out
+
+
+def _beside_unknown(test: LawTest) -> LawTest:
+    """Return a test where something unknown is left: it may be all that differs between directions.
+
+    An unknown error that is the same both ways adds to an effect that turns with the direction in one of them, and takes from
+    it in the other. Such a law is not confirmed; it is broken where the effect acts nearly in one direction only.
+    """
+    if test.variable != "direction" or not test.broken or abs(test.shift) > _ONE_WAY:
+        return test
+    return replace(test, p_value=1.0, uncertainty=abs(test.shift))
 
 
 def _own_tests(effect: Found, candidate: Candidate) -> list[LawTest]:

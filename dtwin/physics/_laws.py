@@ -20,8 +20,6 @@ _CONFIRMED = 0.3
 _ALPHA = 0.002
 _ALPHA_MEASURED_WELL = 0.005
 _CERTAIN = 0.05
-# Half the relative difference between the directions: 1 for an effect that acts in one of them only.
-_ONE_WAY = 0.6
 # Time constants of a body that follows a logged channel, as shares of the campaign's length.
 _SLOW = (0.1, 0.3, 1.0)
 
@@ -87,8 +85,6 @@ def law_tests(problem: Problem, candidates: Candidates, candidate: Candidate, le
         # The effect as fitted, scaled by the contrast: one column, whatever the effect has.
         profile = along * contrast[:, None]
         tests = _tested(with_it, variable, profile, level, within, least)
-        if variable == "direction" and level.misfit is not None:
-            tests = [_perhaps_beside(test) for test in tests]
         out += tests
         if any(test.p_value < _CERTAIN for test in tests):
             missed = _with(missed, profile)
@@ -158,17 +154,6 @@ def _tested(
     sign = float(np.sign(visible[:, 0] @ column[:, 0]))
     shift = sign * float(visible[:, 0] @ with_it.residual.ravel()) / size
     return [LawTest(variable, score.p_value, shift, float(np.sqrt(score.expected)) / size)]
-
-
-def _perhaps_beside(test: LawTest) -> LawTest:
-    """Return the test of a direction law where something unknown is left: it may be all that differs between directions.
-
-    An unknown error that is the same both ways adds to an effect that turns with the direction in one of them, and takes from
-    it in the other. Such a law is not confirmed; it is broken where the effect acts nearly in one direction only.
-    """
-    if abs(test.shift) > _ONE_WAY:
-        return test
-    return replace(test, p_value=1.0, uncertainty=max(test.uncertainty, abs(test.shift)))
 
 
 def _best_of(tests: list[LawTest]) -> LawTest:

@@ -11,7 +11,8 @@ from mill_and_laser import circular_tests
 from dtwin.acquire.virtual_mill import _standard_tests
 from dtwin.machines.mill import Disturbance, Moment, VirtualMill
 from dtwin.machines.mill_parameters import MillParameters, NoiseParameters
-from dtwin.physics._laws import LawTest, _perhaps_beside
+from dtwin.physics._grading import _beside_unknown
+from dtwin.physics._laws import LawTest
 from dtwin.physics.candidates import applicable
 from dtwin.physics.diagnose import diagnose
 from dtwin.physics.experiment import detectable
@@ -111,12 +112,12 @@ def test_a_curve_that_only_follows_a_step_is_no_shape_of_a_guideway(repeats: int
 
 
 def test_beside_something_unknown_a_law_of_direction_is_broken_by_what_happens_one_way_only() -> None:
-    perhaps = _perhaps_beside(LawTest("direction", 1e-9, 0.47, 0.04))
+    perhaps = _beside_unknown(LawTest("direction", 1e-9, 0.47, 0.04))
     assert not perhaps.broken
     assert not perhaps.confirmed
-    assert _perhaps_beside(LawTest("direction", 1e-9, 0.95, 0.04)).broken
-    exact = LawTest("direction", 1.0, 0.02, 0.04)
-    assert _perhaps_beside(exact) == exact
+    assert _beside_unknown(LawTest("direction", 1e-9, 0.95, 0.04)).broken
+    for holds in (LawTest("direction", 1.0, 0.02, 0.04), LawTest("direction", 1e-9, 0.31, 0.04)):
+        assert _beside_unknown(holds) == holds
 
 
 def lengthening(moment: Moment) -> Floats:
