@@ -122,7 +122,6 @@ def test_the_error_falls_from_rung_to_rung_down_to_the_floor() -> None:
     assert errors[-1] < 0.05 * errors[0]
 
 
-@pytest.mark.long
 def test_from_nothing_simple_effects_are_named_and_not_what_imitates_several_of_them() -> None:
     # A pitch error and guideways of any shape do what scale, squareness and bows do, and 14 µm hide what is a thirtieth of it.
     groups = [{suspect.label for suspect in group} for group in diagnose(observed("sim1"), [], Library()).found]
