@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import json
 import math
+import shutil
 import sys
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
 from dtwin.errors import InputError, printable
+from dtwin.progress import telling
 
 Json = Annotated[bool, typer.Option("--json", help="Print only JSON on stdout.")]
 """Option of every command that has figures to tell."""
@@ -57,6 +60,23 @@ def _clean(value: Any) -> Any:
     if hasattr(value, "item") and getattr(value, "ndim", 1) == 0:
         return _clean(value.item())
     return value
+
+
+@contextmanager
+def stages(*, quiet: bool) -> Iterator[None]:
+    """Show on one line on stderr what long work does now; silent when piped, and with ``--json``. ``quiet``: never print."""
+    if quiet or not sys.stderr.isatty():
+        yield
+        return
+
+    def show(stage: str) -> None:
+        print(f"\r{stage[: shutil.get_terminal_size().columns - 1]}\x1b[K", end="", file=sys.stderr, flush=True)
+
+    try:
+        with telling(show):
+            yield
+    finally:
+        show("")
 
 
 class ProgressLine:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from dtwin.commands._effects import Paths, library_with
-from dtwin.commands._output import Json, Report, ReportLanguage, emit, require_report
+from dtwin.commands._output import Json, Report, ReportLanguage, emit, require_report, stages
 from dtwin.commands.tasks import TwinCommands
 from dtwin.config import home
 from dtwin.errors import InputError, StoreError
@@ -109,7 +109,8 @@ def diagnose_twin(
     from dtwin.report.twin_of_kind import report_of, said_by_runs
 
     twins = twins_named(name, effects_path)
-    twin, diagnosis = twins.diagnose(name, seed=seed)
+    with stages(quiet=as_json):
+        twin, diagnosis = twins.diagnose(name, seed=seed)
     moving = [said for campaign in twin.campaigns for said in moving_findings(home(), campaign)]
     result = {
         "twin": name,
@@ -174,7 +175,8 @@ def discover_effects(name: Name, seed: _Seed = 0, effects_path: Paths = None, as
 
     twins = twins_named(name, effects_path)
     try:
-        made, groups, said = twins.discover(name, seed=seed)
+        with stages(quiet=as_json):
+            made, groups, said = twins.discover(name, seed=seed)
     except StoreError:
         # What to add was found out, and cannot be added.
         if twins.unkept:

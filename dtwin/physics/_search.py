@@ -19,6 +19,7 @@ from dtwin.physics.cross_validation import left_out_gain
 from dtwin.physics.localise import in_angle, systematic_rms_um
 from dtwin.physics.observations import Observations
 from dtwin.physics.problem import Problem, Term, weighted_like
+from dtwin.progress import tell
 from dtwin.statistics import holm
 
 _ALPHA = 0.03
@@ -109,6 +110,7 @@ def search(
     told, library = problem, candidates
     best = None
     if top is not None or fit <= _FIT_IS_FINE:
+        tell(f"{problem.obs.campaign.name}: sets of effects")
         best = (
             replace(before.best, exact=False)
             if before and before.best
@@ -127,6 +129,7 @@ def search(
             beside_them = candidates.given(problem, terms)
             sharp = hidden_by_mask(best.everywhere, terms, obs, known, problem)
             sharp = _significant(sharp, beside_them, candidates, first)
+    tell(f"{problem.obs.campaign.name}: {len(terms) + len(sharp)} effects, each beside the others")
     found = _described(terms, sharp, stand_ins, told, library, problem, plain, candidates)
     terms = [*terms, *sharp]
     last, plain_last = candidates.given(problem, terms), candidates.given(plain, terms)

@@ -51,6 +51,7 @@ from dtwin.physics.effect import Effect
 from dtwin.physics.learned import can_learn
 from dtwin.physics.observations import Observations
 from dtwin.physics.problem import Problem, Term, set_up, unweighted, weighted_like
+from dtwin.progress import tell
 from dtwin.units import shown_number
 
 _FIT_IS_DOUBTFUL = 0.05
@@ -78,6 +79,7 @@ def diagnose(obs: Observations, known: Sequence[Term], library: Mapping[str, Eff
         library: Effects that may be missing.
     """
     tried, untestable = applicable(library, obs, known)
+    tell(f"{obs.campaign.name}: {len(tried)} effects of the library, each alone")
     within = [Term(i, i.effect.start_shape) for i in tried if i.effect.within_condition]
     problem = set_up(obs, known, within)
     dropped = odd_runs(problem) or odd_of_two(problem, tried, lambda others: set_up(others, known, within))

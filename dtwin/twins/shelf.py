@@ -13,6 +13,7 @@ from dtwin.config import Home
 from dtwin.documents import read_document, write_document
 from dtwin.errors import InputError, StoreError
 from dtwin.locks import locked
+from dtwin.progress import tell
 from dtwin.schema import DEFAULT_KIND, require_name
 from dtwin.shared_documents import follow_shared
 from dtwin.twins.diagnosing_code import MADE_BY, diagnosing_code
@@ -163,6 +164,7 @@ class TwinShelf:
             if version in self._numbers(name):
                 raise _meanwhile(name, version)
             write_document(self._file(document), unique, "the twin")
+        tell(f"{name} version {version}: {document['action']}")
         self._tell(name, at_once=at_once, ahead=ahead)
 
     def store_diagnosis(self, document: Mapping[str, Any]) -> None:

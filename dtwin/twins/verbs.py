@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -31,6 +30,7 @@ from dtwin.physics.several_twin import SeveralTwin, seen_in
 from dtwin.physics.twin import Twin, chosen_terms, data_lines, frozen_residual_um, twin_of
 from dtwin.physics.undecided import like_repeats, undecided
 from dtwin.processes import give_back_memory
+from dtwin.progress import tell
 from dtwin.schema import require_name
 from dtwin.twins._kept_diagnosis import (
     ALONE,
@@ -253,6 +253,7 @@ class Twins(TwinShelf):
                 twin = self._added(twin, loaded, effect, axis, shape, refine=last, ahead=False)
                 made.append(twin)
                 groups.append(labels)
+            tell(f"{name}: what is left beside {', '.join(twin.labels)}")
             _, said = self.diagnose(name, seed=seed)
             found = _to_add(said.to_add(twin.labels, [one.obs for one in loaded]), said, twin)
         return made, groups, said
@@ -324,14 +325,9 @@ def _wait_for(version: IO[Any], said: str) -> None:
     """Lock the file of a version; while another process has it, say so and wait, for as long as one is waited for."""
     if take(version):
         return
-    began, until = datetime.now().astimezone(), time.monotonic() + _PATIENCE_S
-    last = began + timedelta(seconds=_PATIENCE_S)
-    print(
-        f"{began:%H:%M:%S}: {said} is being diagnosed by another process, as the one in the background after a fit; its answer is "
-        f"waited for, until {last:%H:%M:%S} at the latest. Ctrl-C ends the waiting, nothing else",
-        file=sys.stderr,
-        flush=True,
-    )
+    until = time.monotonic() + _PATIENCE_S
+    last = datetime.now().astimezone() + timedelta(seconds=_PATIENCE_S)
+    tell(f"{said}: waiting for another process that diagnoses it, until {last:%H:%M:%S} at the latest")
     while not take(version) and time.monotonic() < until:
         time.sleep(_LOOK_EVERY_S)
 

@@ -20,8 +20,8 @@ from dtwin.acquire.ingest import open_source
 from dtwin.errors import InputError
 from dtwin.kinds.registry import kind_named, kinds
 from dtwin.pipeline.measuring import ingest
+from dtwin.progress import Tell
 from dtwin.workbench._bench import Bench, Here, bench_of
-from dtwin.workbench._jobs import Tell
 from dtwin.workbench._pages import accepted
 from dtwin.workbench._reading import campaign_floor, campaign_sheet_of
 from dtwin.workbench._uploads import safe_path, sources, tables_alone

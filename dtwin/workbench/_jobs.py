@@ -19,9 +19,9 @@ from typing import Any, Literal
 from dtwin.atomic import write_text
 from dtwin.errors import DtwinError
 from dtwin.faults import fault_of
+from dtwin.progress import Tell, telling
 
 _MOST_KEPT = 40
-Tell = Callable[[str], None]
 _Work = Callable[[Tell], str]
 
 
@@ -111,7 +111,8 @@ class Jobs:
         tell("started")
         try:
             self._note(job)
-            job.address = work(tell)
+            with telling(tell):
+                job.address = work(tell)
             job.state = "done"
         except DtwinError as error:
             job.error, job.state = error.render(), "failed"

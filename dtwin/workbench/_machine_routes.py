@@ -21,12 +21,12 @@ from dtwin.pipeline.machine_joint import is_compared, machine_joint
 from dtwin.pipeline.machine_next import machine_next
 from dtwin.pipeline.machine_report import machine_report, overdue, until
 from dtwin.pipeline.machine_series import SORTED_BY, TESTS_PER_FALSE_ALARM, by_size, calendar_of, worst_newest
+from dtwin.progress import Tell
 from dtwin.report.faults import title_of
 from dtwin.report.history_plots import chart_figure, series_figure
 from dtwin.report.pdf import pdf_of
 from dtwin.units import shown_unit
 from dtwin.workbench._bench import Bench, Here
-from dtwin.workbench._jobs import Tell
 from dtwin.workbench._pages import accepted, begun, download, drawn, in_language, rendered
 from dtwin.workbench._plan_routes import planned_of, plans_zip
 from dtwin.workbench._uploads import MAX_TRAY_BYTES

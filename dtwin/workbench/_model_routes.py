@@ -10,12 +10,12 @@ from pydantic import BaseModel, Field
 from starlette.responses import JSONResponse, Response
 
 from dtwin.errors import InputError
+from dtwin.progress import Tell
 from dtwin.report.html import Table
 from dtwin.report.model_plots import comparison_figure, evidence_figure, front_figure, r2_figure
 from dtwin.train.promotion_books import LONGEST_COMMENT
 from dtwin.workbench import _models as models
 from dtwin.workbench._bench import Bench, Here
-from dtwin.workbench._jobs import Tell
 from dtwin.workbench._pages import accepted, drawn, rendered
 
 router = APIRouter()

@@ -17,6 +17,7 @@ from dtwin import __version__
 from dtwin.errors import DtwinError, GateRefusal
 from dtwin.local_time import local_time
 from dtwin.pipeline.machine_report import tolerance_words
+from dtwin.progress import Tell
 from dtwin.report.faults import grouped, in_titles, title_of
 from dtwin.report.pdf import browser
 from dtwin.report.text import VERDICTS, gain_words, micrometres
@@ -25,7 +26,7 @@ from dtwin.twins.diagnosing_code import is_of_other_code
 from dtwin.units import is_number, shown_setting, shown_unit
 from dtwin.workbench._access import NEEDED, OTHERWISE
 from dtwin.workbench._bench import Bench, bench_of
-from dtwin.workbench._jobs import Job, Tell
+from dtwin.workbench._jobs import Job
 
 _UNKNOWN = ("campaign.unknown", "twin.unknown", "twin.version", "machine.unknown", "page.unknown", "model.unknown")
 

@@ -35,12 +35,12 @@ from dtwin.pipeline.planned_tests import (
 )
 from dtwin.pipeline.sheet_changes import last_changes, sheet_changes
 from dtwin.plan_file import planned_document
+from dtwin.progress import Tell
 from dtwin.report.changes import change_table, changes_text, changes_title
 from dtwin.report.faults import title_of
 from dtwin.schema import DEFAULT_KIND
 from dtwin.units import UNITS, shown_unit
 from dtwin.workbench._bench import Bench, Here
-from dtwin.workbench._jobs import Tell
 from dtwin.workbench._pages import accepted, begun, download, rendered
 
 router = APIRouter()

@@ -14,6 +14,7 @@ from dtwin.errors import InputError
 from dtwin.kinds.registry import kind_named
 from dtwin.physics.twin import Twin
 from dtwin.pipeline.machine_joint import newest_tests
+from dtwin.progress import Tell
 from dtwin.schema import require_name
 from dtwin.twins.learn import learn_law, learn_map
 from dtwin.twins.of_kind import AnyTwin, AnyTwins, fit_twin, twins_for
@@ -21,7 +22,6 @@ from dtwin.twins.seen import chosen
 from dtwin.twins.shelf import require_same_machine
 from dtwin.workbench import _reading as reading
 from dtwin.workbench._bench import Bench, Here, bench_of
-from dtwin.workbench._jobs import Tell
 from dtwin.workbench._pages import accepted, begun
 
 router = APIRouter()

@@ -18,9 +18,11 @@ from command_here import command_here
 
 from dtwin import __version__, cli
 from dtwin.cli import app, main
+from dtwin.commands._output import stages
 from dtwin.commands.tasks import _branch_names
 from dtwin.config import home
 from dtwin.machine_record import keep_record
+from dtwin.progress import tell
 
 
 def run(*arguments: str, code: str = "") -> subprocess.CompletedProcess[str]:
@@ -31,6 +33,21 @@ def run(*arguments: str, code: str = "") -> subprocess.CompletedProcess[str]:
 def here(*arguments: str) -> subprocess.CompletedProcess[str]:
     """As ``run``, in this process, which costs a tenth."""
     return subprocess.CompletedProcess(arguments, *command_here(*arguments))
+
+
+def test_what_long_work_does_now_is_one_line_of_a_terminal_and_nothing_in_a_file(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with stages(quiet=False):
+        tell("piped")
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    monkeypatch.setenv("COLUMNS", "20")
+    with stages(quiet=True):
+        tell("JSON is wanted")
+    with stages(quiet=False):
+        tell("sets of effects that are many")
+    tell("nobody listens")
+    assert capsys.readouterr().err == "\rsets of effects tha\x1b[K\r\x1b[K"
 
 
 def test_help_names_every_command_and_imports_nothing_heavy() -> None:

@@ -33,6 +33,7 @@ from dtwin.physics.experiment import planned_observations
 from dtwin.physics.gridding import Condition
 from dtwin.pipeline.kept import kept_already
 from dtwin.plan import expand, training_plan
+from dtwin.progress import Tell, tell
 from dtwin.serve import safety
 from dtwin.serve._lease import lease
 from dtwin.serve.live_board import _PID, _SHOWN, live_board
@@ -42,7 +43,7 @@ from dtwin.workbench import server as _server
 from dtwin.workbench._access import Access
 from dtwin.workbench._bench import Bench, Cache
 from dtwin.workbench._import_routes import _for_the_page
-from dtwin.workbench._jobs import Jobs, Tell
+from dtwin.workbench._jobs import Jobs
 from dtwin.workbench._live_routes import _latched_by, sessions
 from dtwin.workbench._plan_routes import experiment_documents, grids_of, plans_zip
 from dtwin.workbench._twin_routes import decimal
@@ -183,6 +184,22 @@ def test_a_job_says_what_went_wrong_and_the_next_one_runs(tmp_path: Path) -> Non
     assert good.address == "/there"
 
 
+def test_a_job_shows_what_its_work_tells(tmp_path: Path) -> None:
+    jobs, let_go = Jobs(tmp_path), threading.Event()
+    told = threading.Event()
+
+    def long(_: Tell) -> str:
+        tell("sets of effects")
+        told.set()
+        let_go.wait(300)
+        return ""
+
+    job = jobs.start("long", long)
+    assert told.wait(300)
+    assert job.stage == "sets of effects"
+    let_go.set()
+
+
 def test_work_goes_on_after_a_time_in_which_nothing_could_be_noted(tmp_path: Path) -> None:
     notes, blocked, done = tmp_path / "jobs", threading.Event(), threading.Event()
     jobs = Jobs(notes)
@@ -298,6 +315,7 @@ import os, socket, sys
 from pathlib import Path
 from dtwin.acquire.ingest import ingest
 from dtwin.config import Home
+from dtwin.progress import Tell, tell
 from dtwin.workbench import server as _server
 warm = _server._warm
 def watched(bench):
