@@ -248,8 +248,9 @@ def _binned(run: Run) -> Floats:
     angle, deviation = run.arc
     radius = float(run.meta.radius_mm or 0.0)
     rest = residual_um(angle, deviation, radius, fit_circle(angle, deviation, radius))
-    number = np.asarray((angle % 360.0) // _BIN_DEG, dtype=np.int64)
-    count = np.bincount(number, minlength=round(360.0 / _BIN_DEG))
+    n_bins = round(360.0 / _BIN_DEG)
+    number = np.floor(angle / _BIN_DEG).astype(np.int64) % n_bins  # -1e-14 % 360 would be 360
+    count = np.bincount(number, minlength=n_bins)
     total = np.bincount(number, weights=rest, minlength=count.size)
     return np.where(count > 0, total / np.maximum(count, 1), np.nan)
 

@@ -151,3 +151,10 @@ def test_workbench_and_certificate_say_what_samples_say_together(tmp_path: Path)
         text = browser.get(page).text
         assert text.count("1 reading is spoilt") == 1
         assert "Nothing is wrong with the data" not in text
+
+
+def test_a_run_that_begins_a_hair_before_zero_is_binned_as_others_are() -> None:
+    """An arc from -20 to 200 degrees passes 0 at -1e-15, which modulo 360 is 360."""
+    runs = campaign(3)[:4]
+    hair = runs[0].samples["angle_deg"] - np.where(np.arange(720) == 0, 1e-15, 0.0)
+    assert told([replace(runs[0], samples=dict(runs[0].samples) | {"angle_deg": hair}), *runs[1:]]) == told(runs)
