@@ -20,6 +20,8 @@ _TURN_TOLERANCE = 0.05
 _OTHER_FEED = 4.0
 _STOP_S = 0.15
 _LEAD_IN = 3.0
+# Share of a turn that must be seen twice, and correlation of both times, before a record tells its own period.
+_SEEN_TWICE, _REPEATS = 0.45, 0.75
 _Indices = NDArray[np.int64]
 
 
@@ -28,8 +30,8 @@ class Motion:
     """The motion that a ball-bar record shows by itself.
 
     ``stops``: samples at which the machine stopped between half turns.
-    ``period_samples``: samples of one revolution by correlation; NaN when the record holds less than one and a
-    half.
+    ``period_samples``: samples of one revolution by correlation; NaN when the record holds less than about one and a
+    half, or does not repeat.
     ``lead_in_samples``: samples before the record begins to repeat one revolution later.
     ``half_turns_samples``: samples from stop to stop.
     """
@@ -54,7 +56,7 @@ def motion_of(run: Run) -> Motion:
     expected = _programmed_revolution(run)
     inner = _half_turn_chain(stops, expected / 2.0)
     halves = tuple(int(n) for n in np.diff(inner))
-    period = _period(deviation, rate, expected)
+    period = _period(_without_infeed(run), rate, expected)
     first_turn = float(sum(halves[:2])) if len(halves) > 1 else period
     lead_in = lead_in_samples(deviation, rate, first_turn, _LEAD_IN) if np.isfinite(first_turn) else 0
     return Motion(inner, period, lead_in, halves)
@@ -134,16 +136,28 @@ def _best_lag(deviation: Floats, stretch: slice, revolution: float) -> int | Non
     return lags[int(np.argmin(apart))] if apart else None
 
 
+def _without_infeed(run: Run) -> Floats:
+    """Return the deviation without the ends at which the bar is fed in and out, far beyond what the marked arc deviates by."""
+    deviation = run.samples["deviation_um"]
+    marked = deviation[run.marked]
+    far = np.flatnonzero(np.abs(deviation - np.median(marked)) > 2.0 * np.ptp(marked))
+    first, last, _ = run.marked.indices(deviation.size)
+    return deviation[max(far[far < first] + 1, default=0) : min(far[far >= last], default=deviation.size)]
+
+
 def _period(deviation: Floats, rate_hz: float, expected: float) -> float:
-    """Return the period; the lead-in is left out and the period found again."""
-    skip, samples = 0, np.nan
+    """Return the period, NaN where the record does not show it; the lead-in is left out and the period found again."""
+    if deviation.size < (1.0 + _SEEN_TWICE) * expected:
+        return np.nan
+    skip, samples, repeats = 0, np.nan, 0.0
     for _ in range(2):
         try:
-            samples = true_period(deviation, rate_hz, expected / rate_hz, skip_samples=skip).samples
+            found = true_period(deviation, rate_hz, expected / rate_hz, skip_samples=skip)
         except InputError:
             break
+        samples, repeats = found.samples, found.correlation
         skip = lead_in_samples(deviation, rate_hz, samples)
-    return samples
+    return samples if repeats > _REPEATS else np.nan
 
 
 def _programmed_revolution(run: Run) -> float:

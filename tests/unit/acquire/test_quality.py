@@ -58,6 +58,24 @@ def test_what_repeats_between_revolutions(real: dict[str, Run], direction: str) 
     assert found(judge_run(real[direction]), "feed.differs").numbers["real_mm_min"] < 4850
 
 
+@pytest.mark.parametrize("overshoot_deg", [180.0, 45.0])
+def test_feeding_the_bar_in_and_out_is_no_part_of_a_period(overshoot_deg: float) -> None:
+    rate, feed, radius = 250.0, 1000.0, 150.0
+    angle = np.arange(-overshoot_deg, 360.0 + overshoot_deg, np.degrees(feed / 60.0 / radius) / rate)
+    cos, sin = np.cos(np.radians(angle)), np.sin(np.radians(angle))
+    circle = -2.0 * (cos**2 - sin**2) - 3.0 * np.sign(sin) * cos - 3.0 * np.sign(cos) * sin
+    circle += 0.2 * np.random.default_rng(1).standard_normal(angle.size)
+    fed = np.concatenate([np.full(75, 1500.0), np.linspace(1500.0, 0.0, 25)])
+    value = np.concatenate([fed, circle, fed[::-1]])
+    angle = np.concatenate([np.full(100, angle[0]), angle, np.full(100, angle[-1])])
+    inside = np.flatnonzero((angle >= 0.0) & (angle < 360.0))
+    meta = RunMeta("r", plane="XY", direction="CCW", radius_mm=radius, feed_mm_min=feed, sample_rate_hz=rate)
+    samples = {"t_s": np.arange(angle.size) / rate, "angle_deg": angle, "deviation_um": value}
+    run = Run(meta, samples, window=(int(inside[0]), int(inside[-1]) + 1))
+    period = motion_of(run).period_samples
+    assert np.isnan(period) or period == pytest.approx(len(inside), rel=0.005)
+
+
 def made(**columns: np.ndarray) -> Run:
     n = 400
     samples = {
