@@ -183,6 +183,9 @@ class RunMeta:
     correction: str = ""
 
 
+_FED_TIMES = 2.0
+
+
 @dataclass(frozen=True)
 class Run:
     """One pass of the machine under one condition, as measured.
@@ -216,6 +219,15 @@ class Run:
     def arc(self) -> tuple[Floats, Floats]:
         """Angle in degrees and deviation in µm of the marked part of a circle, shapes (n,)."""
         return self.samples["angle_deg"][self.marked], self.samples["deviation_um"][self.marked]
+
+    @property
+    def on_circle(self) -> slice:
+        """The samples between feeding the bar in and out, where deviations are far beyond those of the marked arc."""
+        deviation = self.samples["deviation_um"]
+        first, last, _ = self.marked.indices(deviation.size)
+        marked = deviation[first:last]
+        far = np.flatnonzero(np.abs(deviation - np.median(marked)) > _FED_TIMES * np.ptp(marked))
+        return slice(int(max(far[far < first] + 1, default=0)), int(min(far[far >= last], default=deviation.size)))
 
 
 @dataclass(frozen=True)

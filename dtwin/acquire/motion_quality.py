@@ -56,7 +56,7 @@ def motion_of(run: Run) -> Motion:
     expected = _programmed_revolution(run)
     inner = _half_turn_chain(stops, expected / 2.0)
     halves = tuple(int(n) for n in np.diff(inner))
-    period = _period(_without_infeed(run), rate, expected)
+    period = _period(deviation[run.on_circle], rate, expected)
     first_turn = float(sum(halves[:2])) if len(halves) > 1 else period
     lead_in = lead_in_samples(deviation, rate, first_turn, _LEAD_IN) if np.isfinite(first_turn) else 0
     return Motion(inner, period, lead_in, halves)
@@ -134,15 +134,6 @@ def _best_lag(deviation: Floats, stretch: slice, revolution: float) -> int | Non
     lags = range(int(0.96 * revolution), longest + 1)
     apart = [float(np.std(deviation[stretch] - deviation[stretch.start + lag : stretch.stop + lag])) for lag in lags]
     return lags[int(np.argmin(apart))] if apart else None
-
-
-def _without_infeed(run: Run) -> Floats:
-    """Return the deviation without the ends at which the bar is fed in and out, far beyond what the marked arc deviates by."""
-    deviation = run.samples["deviation_um"]
-    marked = deviation[run.marked]
-    far = np.flatnonzero(np.abs(deviation - np.median(marked)) > 2.0 * np.ptp(marked))
-    first, last, _ = run.marked.indices(deviation.size)
-    return deviation[max(far[far < first] + 1, default=0) : min(far[far >= last], default=deviation.size)]
 
 
 def _period(deviation: Floats, rate_hz: float, expected: float) -> float:

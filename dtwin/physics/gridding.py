@@ -22,6 +22,8 @@ _GAP_BINS = 3
 _TURN_OVERHEAD_S = 20.0
 _DESCRIBED_HARMONICS = 60
 _SMOOTH_HARMONICS = 3
+# From standstill, loops of a machine need about so long to follow; part of a circle is shorter than this.
+_SETTLED_S, _WHOLE_DEG = 0.3, 350.0
 Indices = NDArray[np.int64]
 
 
@@ -106,6 +108,7 @@ def rows_of(run: Run, time_h: float) -> list[Row]:
     if len(angle) < _MIN_BINS:
         raise _too_short(run, len(angle))
     sign = 1.0 if condition.direction == "CCW" else -1.0
+    settled = _settled(run, angle)
     # A sample on the seam belongs to the turn that it ends, not to one of its own.
     turn = np.floor((sign * (angle - angle[0]) - 1e-9) / 360.0).astype(int).clip(0)
     bins = np.floor(angle).astype(int) % N_BINS
@@ -113,7 +116,7 @@ def rows_of(run: Run, time_h: float) -> list[Row]:
     names = [n for n in run.samples if n not in _SAMPLE_COLUMNS and not n.startswith(("cmd_", "act_"))]
     out = []
     for number in range(int(turn.max()) + 1):
-        here = turn == number
+        here = (turn == number) & settled
         count = np.bincount(bins[here], minlength=N_BINS)
         mask = count > 0
         if mask.sum() < _MIN_BINS:
@@ -131,6 +134,20 @@ def rows_of(run: Run, time_h: float) -> list[Row]:
     if not out:
         raise _too_short(run, len(angle))
     return out
+
+
+def _settled(run: Run, angle_deg: Floats) -> NDArray[np.bool_]:
+    """Return which samples of the marked arc are not still on the way from standstill, in whole degrees, shape (n,).
+
+    Part of a circle begins a few degrees after the machine was fed in and stopped; where the record does not show that, and on
+    whole circles, all are.
+    """
+    passed = np.abs(angle_deg - angle_deg[0])
+    begun = run.on_circle.start if run.window else 0
+    if not begun or passed[-1] > _WHOLE_DEG or "t_s" not in run.samples:
+        return np.ones(angle_deg.size, dtype=bool)
+    wait = int(np.searchsorted(run.samples["t_s"][run.marked] - run.samples["t_s"][begun], _SETTLED_S))
+    return np.asarray(passed >= np.ceil(passed[min(wait, passed.size - 1)]) - 1e-6)
 
 
 def _off_centre_um(
