@@ -15,7 +15,7 @@ from dtwin.schema import Finding, Floats, Run
 
 _WINDOW_TOLERANCE = 0.03
 _FEED_TOLERANCE = 0.02
-_TURN_TOLERANCE = 0.05
+_TURN_TOLERANCE, _MARKS_TOLERANCE = 0.05, 0.25
 # A control that cannot reach a feed runs slower, but hardly by this factor.
 _OTHER_FEED = 4.0
 _STOP_S = 0.15
@@ -88,10 +88,11 @@ def judge_motion(run: Run) -> list[Finding]:
     if not run.meta.radius_mm or not run.meta.feed_mm_min:
         return []
     if run.window is None:
-        return list(_feed_by_angle(run))
-    if run.n_samples < 1.3 * _programmed_revolution(run):
-        # Of one turn the marks tell the feed; they may be off, but not by such a factor.
-        return [finding for finding in _feed_by_angle(run) if finding.severity == "error"]
+        return list(_feed_by_angle(run, _TURN_TOLERANCE))
+    # Marks may be off, but hardly by so much; then a period that is sought near the programmed one is none.
+    by_marks = list(_feed_by_angle(run, _MARKS_TOLERANCE))
+    if by_marks or run.n_samples < 1.3 * _programmed_revolution(run):
+        return by_marks
     motion = motion_of(run)
     findings = [*_stops(motion), *_window(run, motion), *_feed(run, motion)]
     return [*findings, *_misregistered(run, motion), *_repeats(run, motion)]
@@ -212,14 +213,14 @@ def _feed(run: Run, motion: Motion) -> Iterator[Finding]:
     yield from _feed_differs(real, told, "mean", _FEED_TOLERANCE)
 
 
-def _feed_by_angle(run: Run) -> Iterator[Finding]:
+def _feed_by_angle(run: Run, tolerance: float) -> Iterator[Finding]:
     """Hold the feed that angles and times show against the programmed one."""
     angle, t_s = run.samples["angle_deg"], run.samples["t_s"]
     if len(angle) < 3 or run.meta.radius_mm is None or run.meta.feed_mm_min is None:
         return
     # The median: starts, stops and dwells do not count.
     speed_rad_s = float(np.median(np.radians(np.abs(np.gradient(angle, t_s)))))
-    yield from _feed_differs(speed_rad_s * run.meta.radius_mm * 60.0, run.meta.feed_mm_min, "median", _TURN_TOLERANCE)
+    yield from _feed_differs(speed_rad_s * run.meta.radius_mm * 60.0, run.meta.feed_mm_min, "median", tolerance)
 
 
 def _feed_differs(real: float, told: float, which: str, tolerance: float) -> Iterator[Finding]:

@@ -76,6 +76,12 @@ def test_feeding_the_bar_in_and_out_is_no_part_of_a_period(overshoot_deg: float)
     assert np.isnan(period) or period == pytest.approx(len(inside), rel=0.005)
 
 
+def test_a_feed_of_twice_what_marks_and_rate_say_is_told(real: dict[str, Run]) -> None:
+    run = real["ccw"]
+    twice = replace(run, meta=replace(run.meta, feed_mm_min=10_000.0))
+    assert found(judge_run(twice), "feed.differs").numbers["real_mm_min"] == pytest.approx(4740, abs=20)
+
+
 def made(**columns: np.ndarray) -> Run:
     n = 400
     samples = {
