@@ -196,6 +196,7 @@ class Run:
         window: First and one-past-last sample of the part that the vendor's file marks as the test.
         signals: High-rate signals, each group on its own clock.
         source: File that the run was read from.
+        machine: What that file itself calls the machine; empty where it does not.
     """
 
     meta: RunMeta
@@ -204,6 +205,7 @@ class Run:
     signals: tuple[SignalGroup, ...] = ()
     source: str = ""
     findings: tuple[Finding, ...] = ()
+    machine: str = ""
 
     @property
     def n_samples(self) -> int:

@@ -87,14 +87,14 @@ def read_b5r(path: Path) -> BallbarTest:
     started = _started(child_text(root, "DATE_STARTED"))
     scaled = _scale_findings(root)
     runs = [_read_run(element, bar, started, path, scaled) for element in elements]
-    machine = root.find("MACHINE_TESTED")
-    spec = root.find("TEST_SPEC")
+    spec, tested = root.find("TEST_SPEC"), root.find("MACHINE_TESTED")
+    machine = tested.get("NAME", "") if tested is not None else ""
     return BallbarTest(
         name=spec.get("NAME", "") if spec is not None else "",
-        machine=machine.get("NAME", "") if machine is not None else "",
+        machine=machine,
         operator=child_text(root, "OPERATOR"),
         started=started,
-        runs=_named_by_direction(runs),
+        runs=_named_by_direction([replace(run, machine=machine) for run in runs]),
         instrument=_instrument(root, bar, str(path)),
         diagnostics=_features(root.find("ANALYSIS")),
     )

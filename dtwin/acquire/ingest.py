@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -59,11 +59,12 @@ def ingest(path: Path, lake: Lake, progress: Progress = silent, told: Mapping[st
     judged: list[Run] = []
     n_rejected = 0
     versions = lake.versions()
+    others = {name for name in lake.machines_by_campaign().values() if name and name != campaign.machine}
     samples = {r["run_id"]: r["samples_sha256"] for r in lake.runs(campaign.name, left_out=True)}
     for batch, rejected, done in _batches(sources):
         samples |= {run.meta.run_id: columns_sha256(run.samples) for run in batch}
         copies = judge_pasted(batch) | judge_copies(samples)
-        runs = [_judged(run, copies) for run in batch]
+        runs = [_of_its_machine(_judged(run, copies), campaign.machine, others) for run in batch]
         report = lake.commit(campaign, runs, rejected)
         versions = dict(report.versions)
         added += report.added
@@ -151,6 +152,15 @@ def _batches(
 def _judged(run: Run, copies: Mapping[str, Finding]) -> Run:
     copied = [copies[run.meta.run_id]] if run.meta.run_id in copies else []
     return replace(run, findings=(*run.findings, *judge_run(run), *copied))
+
+
+def _of_its_machine(run: Run, machine: str, others: Collection[str]) -> Run:
+    """Return the run; it has a warning when its file names another machine of the lake."""
+    named = safe_name(run.machine) if run.machine else ""
+    if named not in others:
+        return run
+    said = f"the file names machine {named}, of which the lake has tests, and is brought in as {machine}: is it in the wrong folder? Then leave the run out, and bring it in as {named}"
+    return replace(run, findings=(*run.findings, Finding("run.other_machine", "warning", said)))
 
 
 def worst(findings: Sequence[tuple[str, Finding]]) -> str:

@@ -9,8 +9,10 @@ import pytest
 
 from dtwin.acquire._readings import parse_readings
 from dtwin.acquire.b5r import read_b5r, write_b5r
+from dtwin.acquire.ingest import ingest
 from dtwin.acquire.quality import judge_run
 from dtwin.errors import InputError
+from dtwin.lake.store import Lake
 
 
 def test_real_file_is_read_as_it_states(real_recording: Path) -> None:
@@ -264,3 +266,17 @@ def test_a_huge_file_is_refused_before_it_is_read(tmp_path: Path) -> None:
 def test_an_absent_file_is_named(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no such file"):
         read_b5r(tmp_path / "nothing.b5r")
+
+
+def test_a_file_of_another_machine_of_the_lake_is_told(real_recording: Path, tmp_path: Path) -> None:
+    (run, _) = read_b5r(real_recording).runs
+    lake = Lake(tmp_path / "lake")
+    told = []
+    for machine in ("mill-6", "mill-5"):
+        folder = tmp_path / machine
+        folder.mkdir()
+        write_b5r(folder / "a.b5r", [run], name="a", machine="mill-6")
+        head = f'[campaign]\nname = "of-{machine}"\nmachine = "{machine}"\n'
+        (folder / "campaign.toml").write_text(head + '[[run]]\nid = "a"\nfile = "a.b5r"\n', "utf-8")
+        told.append("run.other_machine" in {finding.code for _, finding in ingest(folder, lake).findings})
+    assert told == [False, True]
