@@ -263,10 +263,15 @@ def confirm_effect(
     from dtwin.twins.confirm import confirm
 
     confirmation = confirm(twins_named(name, effects_path), name, effect, after, what)
-    said = "went away: intervention-confirmed" if confirmation.confirmed else "did not certainly go away"
     emit(
         {"twin": name, **confirmation.as_dict()},
-        lambda: "\n".join([f"{confirmation.effect} {said}", *(f"  {c}" for c in confirmation.changes)]),
+        lambda: "\n".join(
+            [
+                f"{confirmation.effect} {confirmation.said}",
+                *(f"  {c}" for c in confirmation.changes),
+                *(f"  besides, {c}" for c in confirmation.others),
+            ]
+        ),
         as_json=as_json,
     )
 

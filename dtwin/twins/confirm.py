@@ -57,6 +57,12 @@ class _Change:
         doubt = math.hypot(self.before_uncertainty, self.after_uncertainty)
         return fell > doubt and abs(self.after) <= _LEFT * abs(self.before)
 
+    @property
+    def moved(self) -> bool:
+        """Whether it certainly changed, and by half of what was there at least."""
+        doubt = math.hypot(self.before_uncertainty, self.after_uncertainty)
+        return abs(self.after - self.before) > max(doubt, _LEFT * abs(self.before))
+
     def __str__(self) -> str:
         return (
             f"{shown_parameter(self.name)} {shown_number(self.before)} ± {shown_number(self.before_uncertainty, 2)} -> "
@@ -68,7 +74,8 @@ class _Change:
 class _Intervention:
     """One effect before and after somebody mended its cause.
 
-    ``confirmed``: whether every parameter that was there went.
+    ``others``: parameters of the twin's other effects that moved as well, by the effect.
+    ``confirmed``: whether every parameter that was there went, and no more of the others moved than stayed.
     """
 
     effect: str
@@ -76,7 +83,20 @@ class _Intervention:
     before_campaign: str
     after_campaign: str
     changes: tuple[_Change, ...]
+    others: tuple[_Change, ...]
     confirmed: bool
+
+    @property
+    def said(self) -> str:
+        """Whether it went, in words."""
+        if self.confirmed:
+            return "went away: intervention-confirmed"
+        if all(change.went for change in self.changes if change.was_there) and self.others:
+            return (
+                "is smaller, and more of the other effects changed than stayed: not confirmed; were the measurements made on this machine, "
+                "and nothing else mended?"
+            )
+        return "did not certainly go away"
 
     def as_dict(self) -> dict[str, Any]:
         return {**asdict(self), "grade": _GRADE if self.confirmed else None}
@@ -123,9 +143,16 @@ def confirm(twins: AnyTwins, name: str, effect: str, after: Sequence[str], what:
             where=f"campaigns {', '.join([*before, *later])}",
         )
     there = [change for change in changes if change.was_there]
-    confirmed = bool(there) and all(change.went for change in there)
+    beside = [
+        replace(_change(one, again[key]), name=f"{one.effect} {one.axis}".rstrip())
+        for key, one in known.items()
+        if key[:2] != cause and key in again
+    ]
+    beside = [change for change in beside if change.was_there]
+    others = tuple(change for change in beside if change.moved)
+    confirmed = bool(there) and all(change.went for change in there) and 2 * len(others) <= len(beside)
     label = effect.replace(":", " ")
-    intervention = _Intervention(label, what, ", ".join(before), ", ".join(later), changes, confirmed)
+    intervention = _Intervention(label, what, ", ".join(before), ", ".join(later), changes, others, confirmed)
     _keep(twins, name, intervention)
     return intervention
 

@@ -48,6 +48,8 @@ def deviation_um(theta: np.ndarray, radius_mm: float, feed_mm_min: float, sign: 
     ey = np.full_like(theta, -5.0)
     if hidden == "backlash":
         ex = ex + np.where(sign * np.sin(theta) > 0, 3.0, -3.0)
+    if hidden == "sister":
+        ex = 16.0 - ex
     if hidden == "guide":
         # A guide that was ground unevenly: the same waves of the place at every feed, of no effect's form.
         knots = np.random.default_rng(11).standard_normal(60)
@@ -469,6 +471,15 @@ def test_an_effect_that_went_when_it_was_mended_is_intervention_confirmed(twins:
     assert [i["grade"] for i in interventions(twins, "mill-a")] == ["intervention-confirmed", None]
     with pytest.raises(InputError, match="other measurements of the same machine"):
         confirm(twins, "mill-a", "backlash:X", ["mill-march"], "")
+
+
+def test_measurements_of_a_sister_machine_confirm_no_repair(twins: Twins, tmp_path: Path) -> None:
+    twins.fit("mill-march", [*KNOWN, "backlash:X"], "mill-a")
+    sister = write_campaign(tmp_path / "sister", "sister", name="mill-of-the-sister", feeds=(1000.0,), radii=(100.0,))
+    found = confirm(twins, "mill-a", "backlash:X", [str(sister)], "ball nut preloaded")
+    assert all(change.went for change in found.changes)
+    assert not found.confirmed
+    assert {change.name for change in found.others} == {"scale_mismatch XY", "squareness XY"}
 
 
 def test_a_home_that_can_only_be_read_gives_a_diagnosis_and_says_that_it_is_not_kept(
