@@ -333,13 +333,15 @@ def _power(
 
 
 def _grown(obs: Observations, conditions: Sequence[Condition]) -> Observations:
-    """Return the runs with more of them, empty, in the set-ups that they would have."""
+    """Return the runs with more of them, empty, in the set-ups that they would have, over the arcs that were measured in their planes."""
     means = {name: float(np.mean([np.mean(c[name]) for c in obs.columns])) for name in obs.logged}
     setups = {obs.conditions[int(c)].mounted: meta.setup for meta, c in zip(obs.runs, obs.condition_of, strict=True)}
     metas, cells = list(obs.runs), [obs.conditions[i] for i in obs.condition_of]
-    columns = list(obs.columns)
+    columns, masks = list(obs.columns), list(obs.mask)
     for condition in conditions:
+        seen = [mask for mask, cell in zip(obs.mask, cells, strict=False) if cell.plane == condition.plane]
         for repeat in range(REPEATS):
+            masks.append(np.any(seen, axis=0) if seen else np.ones(CIRCLE.n, dtype=bool))
             setup = setups.get(condition.mounted, "new")
             metas.append(
                 RunMeta(
@@ -354,7 +356,7 @@ def _grown(obs: Observations, conditions: Sequence[Condition]) -> Observations:
             )
             cells.append(condition)
             columns.append(means)
-    return _empty(obs.campaign, tuple(metas), cells, tuple(columns))
+    return replace(_empty(obs.campaign, tuple(metas), cells, tuple(columns)), mask=np.array(masks))
 
 
 def _empty(

@@ -1,4 +1,4 @@
-"""What to measure next: circles that an arm does not reach are not proposed."""
+"""What to measure next: circles that an arm does not reach are not proposed, nor whole ones where arcs were measured."""
 
 from __future__ import annotations
 
@@ -9,9 +9,11 @@ from one_cobot import write_circles
 
 from dtwin.acquire.campaign_folder import open_campaign
 from dtwin.physics.diagnosis import Diagnosis, Suspect
-from dtwin.physics.experiment import next_experiment
+from dtwin.physics.experiment import REPEATS, _grown, next_experiment
+from dtwin.physics.gridding import Condition
 from dtwin.physics.library import Library
 from dtwin.physics.observations import observe
+from dtwin.schema import Campaign, Run, RunMeta
 
 
 def test_circles_that_the_arm_does_not_reach_are_not_proposed(tmp_path: Path) -> None:
@@ -26,3 +28,13 @@ def test_circles_that_the_arm_does_not_reach_are_not_proposed(tmp_path: Path) ->
     told = next_experiment(obs, [], said, Library())
     assert told is not None
     assert all(condition["radius_mm"] < 300.0 for condition in told["conditions"])
+
+
+def test_where_arcs_were_measured_the_next_circles_of_that_plane_are_arcs() -> None:
+    """They were taken for whole circles, which a bar under a spindle does not reach, and so were the arcs measured."""
+    angle = np.arange(-20.0, 200.0, 0.5) + 0.25
+    meta = RunMeta("a", plane="YZ", direction="CCW", radius_mm=100.0, feed_mm_min=1000.0)
+    obs = observe(Campaign("arcs", "mill"), [Run(meta, {"angle_deg": angle, "deviation_um": np.cos(angle)})])
+    grown = _grown(obs, [Condition("YZ", 100.0, 4000.0, "CCW"), Condition("XY", 100.0, 4000.0, "CCW")])
+    counts = [int(mask.sum()) for mask in grown.mask]
+    assert counts == [220, *[220] * REPEATS, *[360] * REPEATS]
