@@ -21,8 +21,8 @@ def left_out_gain(problem: Problem, whitened: Floats) -> float:
     ``whitened``, (rows * n, k): columns of the candidate.
     Returns 1 when the residual vanishes, below zero when the candidate makes it worse. A whole (plane, radius, feed)
     is left out at a time, or a run where a number of the candidate acts in one of them only, as a leaning axis does in
-    its plane: no other foretells that. Centre and radius come from the other runs of the set-up; a set-up that is left
-    out as a whole has its own.
+    its plane: no other foretells that. Centre and radius come from the other runs of the set-up. What is known and acts in
+    what is left out alone, as a set-up or a bend in its plane, is fitted to it.
     """
     obs = problem.obs
     groups, power = obs.place_of, (whitened**2).reshape(obs.n_rows, obs.n_bins, -1).sum(axis=1)
@@ -30,7 +30,6 @@ def left_out_gain(problem: Problem, whitened: Floats) -> float:
     among = np.ones(obs.n_rows, dtype=np.bool_)
     if (acts.max(axis=0) > _IN_ONE * acts.sum(axis=0)).any():
         groups, among = obs.run_of, acts.sum(axis=1)[groups] > 0.0
-    n_setup = obs.n_setup
     size = np.sqrt((whitened**2).sum(axis=0))
     both = np.concatenate([problem.raw, whitened / np.where(size > 0, size, 1.0)], axis=1)
     columns = both.reshape(obs.n_rows, obs.n_bins, -1)
@@ -44,12 +43,12 @@ def left_out_gain(problem: Problem, whitened: Floats) -> float:
         if group not in asked:
             continue
         gram, right = grams.sum(axis=0) - grams[number], rights.sum(axis=0) - rights[number]
+        own = np.flatnonzero(np.diag(gram)[: problem.raw.shape[1]] <= 0.0)
         left = []
         for k in (problem.raw.shape[1], columns.shape[2]):
             fitted = _solved(gram[:k, :k], right[:k, 0])
             rest = y[groups == group] - columns[groups == group][:, :, :k] @ fitted
-            new = np.diag(gram)[:n_setup] <= 0.0
-            left.append(_without_setup(rest, columns[groups == group][:, :, :n_setup][:, :, new]))
+            left.append(_without(rest, columns[groups == group][:, :, own]))
         gains.append((left[0] - left[1]) / max(left[0], 1e-300))
     return float(np.mean(gains))
 
@@ -88,11 +87,11 @@ def _solved(gram: Floats, right: Floats) -> Floats:
     return np.asarray(np.linalg.solve(gram + ridge, right))
 
 
-def _without_setup(rest: Floats, setup: Floats) -> float:
-    """Return the sum of squares once the left-out runs have their own centre and radius."""
-    used = setup.reshape(rest.size, setup.shape[2])
+def _without(rest: Floats, own: Floats) -> float:
+    """Return the sum of squares of what is left out, once it has its own centre, radius, and what else acts there alone."""
+    used = own.reshape(rest.size, own.shape[2])
     used = used[:, (used**2).sum(axis=0) > 0]
     if not used.shape[1]:
         return float((rest**2).sum())
-    gram, right = used.T @ used, used.T @ rest.ravel()
-    return float((rest**2).sum() - right @ np.linalg.solve(gram, right))
+    basis = np.linalg.qr(used)[0]
+    return float((rest**2).sum() - ((basis.T @ rest.ravel()) ** 2).sum())
