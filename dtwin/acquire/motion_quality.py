@@ -20,6 +20,7 @@ _TURN_TOLERANCE, _MARKS_TOLERANCE = 0.05, 0.25
 _OTHER_FEED = 4.0
 _STOP_S = 0.15
 _LEAD_IN = 3.0
+_AT_REVERSAL_DEG = 10.0
 # Share of a turn that must be seen twice, and correlation of both times, before a record tells its own period.
 _SEEN_TWICE, _REPEATS = 0.45, 0.75
 _Indices = NDArray[np.int64]
@@ -65,14 +66,17 @@ def motion_of(run: Run) -> Motion:
 def aligned_angle_deg(run: Run, motion: Motion) -> Floats | None:
     """Return angles that put every stop on a half turn; None with fewer than two stops.
 
-    Which half turn a stop belongs to is taken from the file's own angles, rounded.
+    Which half turn a stop belongs to is taken from the file's own angles, rounded. Bursts between half turns, where the
+    second axis reverses, are steps of a large backlash and no stops.
     """
     if len(motion.stops) < 2 or run.window is None:
         return None
     sign = 1.0 if run.meta.direction == "CCW" else -1.0
     start_deg = float(run.samples["angle_deg"][run.window[0]])
     counted = sign * 180.0 * np.arange(len(motion.stops))
-    off = np.median(run.samples["angle_deg"][motion.stops] - start_deg - counted)
+    off = float(np.median(run.samples["angle_deg"][motion.stops] - start_deg - counted))
+    if abs((start_deg + off) % 180.0 - 90.0) < _AT_REVERSAL_DEG:
+        return None
     at_stops = start_deg + counted + 180.0 * np.round(off / 180.0)
     index = np.arange(run.n_samples)
     angle = np.interp(index, motion.stops, at_stops)
