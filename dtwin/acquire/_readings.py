@@ -38,6 +38,12 @@ def parse_readings(text: str, where: str) -> Floats:
         raise InputError(
             "a reading is not a number", code="readings.number", where=where, got=str(error)[-80:]
         ) from error
+    require_usable(values, where)
+    return values
+
+
+def require_usable(values: Floats, where: str) -> None:
+    """Refuse numbers that cannot be computed with; ``where``: their file and block."""
     bad = np.flatnonzero(~usable(values))
     if bad.size:
         raise InputError(
@@ -46,7 +52,6 @@ def parse_readings(text: str, where: str) -> Floats:
             where=f"{where}, reading {bad[0] + 1}",
             allowed=f"numbers below {_LARGEST:g}",
         )
-    return values
 
 
 def usable(values: Floats) -> NDArray[np.bool_]:

@@ -27,7 +27,7 @@ def recipe_of(home: Home, heads: Sequence[str]) -> dict[str, Any]:
         return {}
     try:
         recipe = tomllib.loads(read_bounded(place).decode("utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
+    except (ValueError, RecursionError) as error:
         raise InputError(
             "the recipe for this header cannot be read", code="import.recipe", where=str(place), hint="delete the file"
         ) from error

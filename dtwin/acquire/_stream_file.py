@@ -34,7 +34,7 @@ def read_streams_file(path: Path) -> list[Instrument]:
 
     try:
         document = tomllib.loads(read_bounded(path, _MAX_BYTES).decode("utf-8-sig"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
+    except (ValueError, RecursionError) as error:
         raise InputError(
             "the stream file is not readable", code="stream.file", where=str(path), got=str(error)[:200]
         ) from error

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import json
-import math
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from dtwin.acquire._readings import require_usable
 from dtwin.acquire.xmlsafe import read_bounded
 from dtwin.errors import InputError
 from dtwin.schema import Direction, Finding, Run, RunMeta
+from dtwin.units import is_number
 
 _FACTOR_TO_UM = {"millimetres": 1000.0, "millimeters": 1000.0, "micrometres": 1.0, "microns": 1.0}
-_DIRECTIONS: dict[int, Direction] = {0: "CCW", 1: "CW"}
+_DIRECTIONS: dict[float, Direction] = {0: "CCW", 1: "CW"}
 
 
 def read_trace_json(path: Path, *, sample_rate_hz: float | None = None) -> tuple[Run, ...]:
@@ -48,7 +49,7 @@ def read_trace_json(path: Path, *, sample_rate_hz: float | None = None) -> tuple
 def _parse(data: bytes, where: str) -> dict[str, Any]:
     try:
         document = json.loads(data.decode("utf-8-sig"))
-    except (UnicodeDecodeError, json.JSONDecodeError, RecursionError) as error:
+    except (ValueError, RecursionError) as error:
         raise InputError(
             "not a readable JSON file",
             code="trace.malformed",
@@ -66,15 +67,18 @@ def _read_run(entry: Any, number: int, to_um: float, rate_hz: float | None, wher
     readings = entry.get("Readings") if isinstance(entry, dict) else None
     if not isinstance(readings, list) or len(readings) < 3:
         raise InputError("the run holds no readings", code="trace.readings", where=place)
-    if not all(type(v) in (int, float) and math.isfinite(v) for v in readings):
+    if not all(map(is_number, readings)):
         raise InputError("a reading is not a finite number", code="trace.readings", where=place)
-    direction = _DIRECTIONS.get(entry.get("Direction", -1))
+    values = np.array(readings, dtype=float)
+    require_usable(values, place)
+    stated = entry.get("Direction")
+    direction = _DIRECTIONS.get(stated) if is_number(stated) else None
     if direction is None:
         raise InputError(
             "the run does not say its direction",
             code="trace.direction",
             where=place,
-            got=repr(entry.get("Direction"))[:40],
+            got=repr(stated)[:40],
             allowed="0 (CCW) or 1 (CW)",
         )
     findings: tuple[Finding, ...] = ()
@@ -85,6 +89,6 @@ def _read_run(entry: Any, number: int, to_um: float, rate_hz: float | None, wher
             ),
         )
     rate = rate_hz or 1.0
-    samples = {"t_s": np.arange(len(readings)) / rate, "deviation_um": np.array(readings, dtype=float) * to_um}
+    samples = {"t_s": np.arange(len(readings)) / rate, "deviation_um": values * to_um}
     meta = RunMeta(run_id=f"run-{number}", direction=direction, sample_rate_hz=rate)
     return Run(meta=meta, samples=samples, source=where, findings=findings)

@@ -137,7 +137,7 @@ def _setting(text: str) -> tuple[str, Any]:
         raise InputError("this is no setting", code="amend.setting", got=text[:80], allowed="FIELD=VALUE")
     try:
         value = tomllib.loads(f"value = {written}")["value"]
-    except (tomllib.TOMLDecodeError, RecursionError):
+    except (ValueError, RecursionError):
         value = written
     return name.strip(), value
 

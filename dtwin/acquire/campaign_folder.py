@@ -127,9 +127,9 @@ def open_campaign(folder: Path) -> CampaignFolder:
         )
     try:
         document = tomllib.loads(read_bounded(path, _MAX_TOML_BYTES).decode("utf-8-sig"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
+    except (ValueError, RecursionError) as error:
         raise InputError(
-            "campaign.toml is not readable", code="campaign.toml", where=str(path), got=str(error)
+            "campaign.toml is not readable", code="campaign.toml", where=str(path), got=str(error)[:200]
         ) from error
     head = document.get("campaign")
     stated_runs = document.get("run")

@@ -230,7 +230,9 @@ def bidirectional_figures(
     grid = np.arange(0.0, 360.0, 0.1)
     up, down = (ccw[0], centred[:split]), (cw[0], centred[split:])
     gaps = np.concatenate([up[1] - _at(up[0], *down), down[1] - _at(down[0], *up)])
-    if not np.isfinite(gaps).any():
+    both = (_at(grid, *up) + _at(grid, *down)) / 2.0
+    # Arcs that only touch have one angle in common, and no radius.
+    if not np.isfinite(gaps).any() or not np.isfinite(both).any():
         raise InputError("the two directions have no angle in common", code="circular.arc")
     where = int(np.nanargmax(np.abs(gaps)))
     own = [_centred_um(*part, radius_mm, fit_circle(*part, radius_mm)) for part in (ccw, cw)]
@@ -239,7 +241,7 @@ def bidirectional_figures(
         circular_deviation_own_centres_um=float(np.ptp(np.concatenate(own))),
         hysteresis_um=float(abs(gaps[where])),
         hysteresis_angle_deg=float(angle[where] % 360.0),
-        mean_bidirectional_radius_um=float(np.nanmean((_at(grid, *up) + _at(grid, *down)) / 2.0)),
+        mean_bidirectional_radius_um=float(np.nanmean(both)),
     )
 
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from dtwin.acquire._lone_table import open_table
+from dtwin.acquire._trace_json import read_trace_json
 from dtwin.acquire.campaign_folder import open_campaign
 from dtwin.acquire.ingest import ingest, open_source
 from dtwin.acquire.quality import judge_run
@@ -36,6 +37,29 @@ def folder(tmp_path: Path, run: str, files: dict[str, str] | None = None) -> Pat
 
 
 RUN = '[[run]]\nid = "r1"\nfile = "r1.csv"\nplane = "XY"\nradius_mm = 100.0\nfeed_mm_min = 2000.0\ndirection = "CCW"\n'
+
+
+@pytest.mark.parametrize(
+    ("direction", "reading", "said"),
+    [
+        ("[]", "1.0", "direction"),
+        ("0", "1" + "0" * 400, "finite"),
+        ("0", "1" + "0" * 5000, "readable"),
+        ("0", "1e308", "no size"),
+    ],
+)
+def test_odd_numbers_of_a_trace_are_refused_in_words(tmp_path: Path, direction: str, reading: str, said: str) -> None:
+    trace = tmp_path / "t.json"
+    trace.write_text(
+        f'{{"ErrorUnits": "millimetres", "Runs": [{{"Direction": {direction}, "Readings": [1, 2, {reading}]}}]}}'
+    )
+    with pytest.raises(InputError, match=said):
+        read_trace_json(trace)
+
+
+def test_a_number_of_thousands_of_digits_in_a_campaign_file_is_told(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="not readable"):
+        open_campaign(folder(tmp_path, RUN + f"repeat = {'9' * 5000}\n"))
 
 
 def test_csv_json_parquet_and_b5r_go_the_same_way(tmp_path: Path, real_recording: Path) -> None:

@@ -85,6 +85,12 @@ def test_hysteresis_is_the_largest_difference_of_samples_at_one_angle() -> None:
     assert both.hysteresis_um == pytest.approx(2.0, abs=1e-6)
 
 
+def test_directions_whose_arcs_only_touch_have_no_radius_together() -> None:
+    arc = np.linspace(0.0, 38.2, 400)
+    with pytest.raises(InputError, match="no angle in common"):
+        bidirectional_figures((arc, np.zeros(400)), (-arc, np.zeros(400)), 100.0)
+
+
 def test_noise_adds_to_hysteresis_as_it_is_documented() -> None:
     noise = np.random.default_rng(0).normal(0.0, 0.5, (2, ANGLE.size))
     found = bidirectional_figures((ANGLE, noise[0]), (-ANGLE, noise[1]), 100.0).hysteresis_um
