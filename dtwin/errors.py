@@ -18,12 +18,12 @@ NEWER = "where a newer dtwin wrote it: install that; else take out what is not k
 _MOST_NAMES, _NEAREST = 60, 12
 # Of a longer place or value, such as a name of thousands of letters in a file, a terminal shows both ends.
 _LONGEST = 400
-# What would steer a terminal, or turn the order of letters round: out of a file that somebody sent.
-_STEERING = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]")
+# What would steer a terminal, turn the order of letters round, or is half a letter: out of a file that somebody sent.
+_STEERING = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069\ud800-\udfff]")
 
 
 def printable(text: str) -> str:
-    """Return a text for a terminal, in which the sign of an unknown character stands for what would steer it."""
+    """Return a text for a terminal or a page, in which the sign of an unknown character stands for what would steer it, or is none."""
     return _STEERING.sub("\ufffd", text)
 
 

@@ -86,7 +86,7 @@ def condition(value: object, kind: Kind, where: str) -> dict[str, float | str]:
     """Return what was set for a run: numbers and words by name; ``axis = "c"`` is C, with which it is compared."""
     if not isinstance(value, Mapping):
         raise _refused("condition", where, value, "a table of numbers and words")
-    _require_not_mistyped(value, "condition", kind, where)
+    _require_as_read(value, "condition", kind, where)
     return {
         name: v.upper()
         if name == "axis" and isinstance(v, str) and _AXIS.fullmatch(v)
@@ -110,7 +110,7 @@ def table(value: object, name: str, kind: Kind, where: str) -> dict[str, Any]:
     """Return a table whose numbers are finite and that is not nested too deep."""
     if not isinstance(value, Mapping):
         raise _refused(name, where, value, "a table")
-    _require_not_mistyped(value, name, kind, where)
+    _require_as_read(value, name, kind, where)
     for key, part in value.items():
         _plain(part, f"{name}.{key}", where, _DEEPEST)
     return dict(value)
@@ -128,11 +128,14 @@ def instrument(value: object, kind: Kind, where: str) -> dict[str, Any]:
     return told
 
 
-def _require_not_mistyped(told: Mapping[str, Any], name: str, kind: Kind, where: str) -> None:
-    """Refuse a name that is nearly one that is read: it would do nothing. Other names are notes, which are free."""
+def _require_as_read(told: Mapping[str, Any], name: str, kind: Kind, where: str) -> None:
+    """Refuse a name that is nearly one that is read: it would do nothing; and words where a unit is read. Other names are notes, which are free."""
     table = name.rpartition(".")[2]
     own = (setting.split(".") for setting in kind.settings)
     known = {*OF_EVERY_KIND.get(table, "").split(), *(setting for where_read, setting in own if where_read == table)}
+    for key in sorted(set(told) & known):
+        if isinstance(told[key], str) and _OTHER_UNIT.search(key):
+            raise _refused(f"{name}.{key}", where, told[key], "a number")
     for key in sorted(set(told) - known):
         meant = [
             word

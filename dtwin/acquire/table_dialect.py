@@ -13,7 +13,7 @@ SUMMARY = re.compile(rf"({STATISTICS}|min|max)\b", re.I)
 """A cell of a row that sums up the rows above it."""
 _SNIFFED_LINES, _BELOW_HEADS = 100, 3
 _SNIFFED_BYTES = 65_536
-_LONGEST_CELL = 500
+_LONGEST_CELL, _MOST_CELLS = 500, 10_000
 # How each is read, how it is known, and the first bytes of its usual letters: what Windows writes in the West has few of these in pairs.
 _EAST_ASIAN = (("cp932", "cp932", range(0x81, 0xA0)), ("gb18030", "gb2312", range(0xA1, 0xD8)))
 DECIMALS = ("comma", "point")
@@ -130,7 +130,7 @@ def _typed_mark(lines: list[str]) -> str:
 
 
 def rows_of(text: str, decimal: str = "") -> list[list[str]]:
-    """Return the cells of a table without comments and empty lines; a decimal comma becomes a point.
+    """Return the cells of a table without comments and empty lines; a decimal comma becomes a point. None of what has no table's width.
 
     ``decimal``: ``comma`` or ``point`` where it is told: the other one parts digits into groups. Empty: a comma is one where
     semicolons, tabs or blanks part the columns, or where it is quoted and no point stands in a number.
@@ -141,6 +141,8 @@ def rows_of(text: str, decimal: str = "") -> list[list[str]]:
     try:
         rows = aligned or list(csv.reader(lines, delimiter=mark))
     except csv.Error:
+        return []
+    if max(map(len, rows), default=0) > _MOST_CELLS:
         return []
     if len(rows) < len(lines) or max(map(len, lines), default=0) > _LONGEST_CELL:
         # What is longer is a remark, perhaps of several lines: heads are looked through for many words.

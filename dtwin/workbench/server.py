@@ -25,7 +25,7 @@ from starlette.responses import RedirectResponse, Response
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from dtwin.config import Home
-from dtwin.errors import DtwinError, InputError, MissingPart
+from dtwin.errors import DtwinError, InputError, MissingPart, printable
 from dtwin.faults import fault_of
 from dtwin.kinds.registry import kind_named
 from dtwin.physics.circular import fit_circle
@@ -216,7 +216,7 @@ def _invalid(request: Request, error: Exception) -> Response:
         "a field cannot be read",
         code="request.invalid",
         where=place.removeprefix("body."),
-        got=str(first["input"])[:80],
+        got=printable(str(first["input"])[:80]),
         allowed=first["msg"].removeprefix("Input should be "),
     )
     return refused(request, said)

@@ -57,6 +57,12 @@ def test_odd_numbers_of_a_trace_are_refused_in_words(tmp_path: Path, direction: 
         read_trace_json(trace)
 
 
+def test_words_where_a_unit_is_read_are_refused(tmp_path: Path) -> None:
+    source = open_campaign(folder(tmp_path, RUN + '[run.condition]\ntime_h = "six"\nmade_in = "free"\n'))
+    with pytest.raises(InputError, match=r"condition\.time_h"):
+        source.read(source.entries[0])
+
+
 def test_a_number_of_thousands_of_digits_in_a_campaign_file_is_told(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="not readable"):
         open_campaign(folder(tmp_path, RUN + f"repeat = {'9' * 5000}\n"))

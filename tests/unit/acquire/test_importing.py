@@ -480,3 +480,11 @@ def test_an_answer_has_the_unit_of_the_file(tmp_path: Path, answer: str, factor:
     path.write_text("Phi;d\n" + "".join(f"{n};{n % 7}\n" for n in range(360)), "utf-8")
     found = understand(path, Home(tmp_path / "home"), CIRCLE, {"Phi": "angle_deg", "d": answer})
     assert [(c.name, c.factor) for c in found.columns] == [("angle_deg", 1.0), ("deviation_um", factor)]
+
+
+def test_a_table_of_a_width_that_none_has_is_refused_at_once(tmp_path: Path) -> None:
+    wide = tmp_path / "wide.csv"
+    wide.write_text("\n".join(",".join(f"{cell}{n}" for n in range(20_000)) for cell in ("c", "1", "2")))
+    assert rows_of(wide.read_text()) == []
+    with pytest.raises(InputError, match="no table is found"):
+        understand(wide, Home(tmp_path), {}, {})

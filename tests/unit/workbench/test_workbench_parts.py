@@ -255,6 +255,7 @@ def test_what_is_stated_while_other_work_runs_is_all_kept(tmp_path: Path) -> Non
     enter(client, bench.access.token)
     half = {"name": "x", "campaign": chr(0xD800)}
     assert client.post("/api/twins", content=json.dumps(half)).status_code == 400
+    assert client.post("/api/twins", content=json.dumps(half | {"name": [], "effects": chr(0xD800)})).status_code == 400
     told = [{"symbol": "H", "high_um": 3.0}, {"symbol": "G(CW)", "high_um": 4.0}]
     jobs = [client.post("/api/machines/mill-a/tolerance", json=one).json()["job"] for one in told]
     axis = {"axis": "X", "low_mm": -250.0, "high_mm": 250.0, "travel_mm": None}
