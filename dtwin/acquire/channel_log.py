@@ -6,13 +6,16 @@ import csv
 import io
 import re
 from datetime import datetime
+from pathlib import Path
 
 import numpy as np
 
 from dtwin.acquire.xmlsafe import number_or_none
+from dtwin.errors import InputError
 
 LINE = re.compile(r"^(\S+)\s+(\d{4}-\d\d-\d\d)[ T](\d\d:\d\d:\d\d(?:[.,]\d+)?)\s+(\S+)")
 _FIRST, _FIRST_LINES = 65_536, 50
+_MOST_CELLS = 20_000_000
 
 
 def is_channel_log(text: str) -> bool:
@@ -21,10 +24,12 @@ def is_channel_log(text: str) -> bool:
     return bool(first) and 2 * sum(LINE.match(line) is not None for line in first) > len(first)
 
 
-def as_table(text: str) -> str:
+def as_table(text: str, path: Path) -> str:
     """Return a log as CSV: ``t [s]`` and a column for each channel of numbers, a row at each stamp.
 
     A channel holds its value until the next one, as ``camonitor`` tells changes only. The table begins when every channel has a value.
+
+    Raises ``InputError`` when the table would be very much larger than the log.
     """
     stamps: dict[str, list[float]] = {}
     values: dict[str, list[float]] = {}
@@ -44,6 +49,15 @@ def as_table(text: str) -> str:
     begin = max(min(told) for told in stamps.values())
     every = np.unique(np.concatenate([np.array(told) for told in stamps.values()]))
     every = every[every >= begin]
+    if len(stamps) * every.size > _MOST_CELLS:
+        raise InputError(
+            "the log has too many channels and stamps for a table",
+            code="channel_log.size",
+            where=str(path),
+            got=f"{len(stamps)} channels at {every.size} stamps",
+            allowed=f"{_MOST_CELLS} values in all",
+            hint="write a log of the channels that are needed, or of less time",
+        )
     columns = [every - begin]
     for name, told in stamps.items():
         order = np.argsort(told, kind="stable")

@@ -71,7 +71,7 @@ def look(path: Path, home: Home | None, decimal: str = "", axis: str = "") -> Lo
     data = table_bytes(path, MAX_BYTES, axis)
     text = decoded(data)
     if of_channels := is_channel_log(text):
-        text = as_table(text)
+        text = as_table(text, path)
     elif axis:
         text = part_of_axis(text, axis, path)
     rows, begin, heads, stored, sign = _seen(text, path, home, decimal)

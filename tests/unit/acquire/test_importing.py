@@ -488,3 +488,11 @@ def test_a_table_of_a_width_that_none_has_is_refused_at_once(tmp_path: Path) -> 
     assert rows_of(wide.read_text()) == []
     with pytest.raises(InputError, match="no table is found"):
         understand(wide, Home(tmp_path), {}, {})
+
+
+def test_a_log_of_very_many_channels_is_no_table(tmp_path: Path) -> None:
+    log = tmp_path / "log.txt"
+    lines = [f"CH{n % 5000} 2026-01-02 {n // 3600:02d}:{n // 60 % 60:02d}:{n % 60:02d}.0 1.0\n" for n in range(10_000)]
+    log.write_text("".join(lines))
+    with pytest.raises(InputError, match="too many channels"):
+        understand(log, Home(tmp_path), {}, {})
