@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
@@ -11,6 +12,7 @@ import typer
 
 from dtwin.commands._output import Json, ProgressLine, emit
 from dtwin.commands._record import run_text
+from dtwin.commands._told import tells_a_table
 from dtwin.config import home
 from dtwin.errors import InputError
 from dtwin.report.text import table
@@ -20,27 +22,6 @@ if TYPE_CHECKING:
     from dtwin.acquire.run_recording import RecordedRun
     from dtwin.schema import Finding
 
-Plane = Annotated[str | None, typer.Option(help="Of a table that lies alone: XY, YZ or ZX.")]
-Radius = Annotated[float | None, typer.Option(help="Of such a table: programmed radius, mm.")]
-Feed = Annotated[float | None, typer.Option(help="Of such a table: programmed feed, mm/min.")]
-Direction = Annotated[str | None, typer.Option(help="Of such a table: CCW or CW; else as the angle runs.")]
-Axis = Annotated[str | None, typer.Option(help="Of a positioning table: the axis, such as X, or C of a rotary one.")]
-_Pitch = Annotated[
-    float | None,
-    typer.Option(
-        help="Of a positioning table: travel in a turn of the screw, mm, 0 with a linear scale; else as the machine's record says."
-    ),
-]
-_Instrument = Annotated[
-    str | None, typer.Option(help="Of a report with readings of several: which, as the report calls it.")
-]
-Kind = Annotated[
-    str | None, typer.Option(help="Of such a table: the kind of test, where heads do not tell it, such as rotary.")
-]
-Setup = Annotated[str | None, typer.Option(help="Of such a table: mounting of the instrument.")]
-Repeat = Annotated[int | None, typer.Option(help="Of such a table: counts repeats from 1.")]
-Machine = Annotated[str | None, typer.Option(help="Of such a table: name of the machine.")]
-Started = Annotated[str | None, typer.Option(help="Of such a table: when it was measured, such as 2026-03-02.")]
 
 app = typer.Typer()
 
@@ -80,20 +61,10 @@ def examples(
 
 
 @app.command()
+@tells_a_table("campaign")
 def check(
     source: Annotated[Path, typer.Argument(help="A .b5r file, a campaign folder, a table, or a campaign in the lake.")],
-    plane: Plane = None,
-    radius: Radius = None,
-    feed: Feed = None,
-    direction: Direction = None,
-    axis: Axis = None,
-    pitch: _Pitch = None,
-    instrument: _Instrument = None,
-    kind: Kind = None,
-    setup: Setup = None,
-    repeat: Repeat = None,
-    machine: Machine = None,
-    started: Started = None,
+    told: Mapping[str, Any],
     as_json: Json = False,
 ) -> None:
     """Say what the data are, and what is wrong with them. Changes nothing."""
@@ -103,20 +74,6 @@ def check(
     from dtwin.report.checking import check_campaign, check_source, render_check
 
     lake, line = Lake(home().lake), ProgressLine("check", quiet=as_json)
-    told = told_of(
-        plane,
-        radius,
-        feed,
-        direction,
-        axis,
-        setup,
-        repeat,
-        machine,
-        pitch=pitch,
-        instrument=instrument,
-        kind=kind,
-        started=started,
-    )
     limits, surroundings = partial(tolerances_of, home()), partial(variation_of, home())
     alone = any(value is not None for value in told.values())
     campaigns = [] if alone or source.exists() else lake.campaigns()
@@ -135,23 +92,10 @@ def check(
 
 
 @app.command()
+@tells_a_table()
 def ingest(
     sources: Annotated[list[Path], typer.Argument(help="Campaign folders, .b5r files or a table.")],
-    plane: Plane = None,
-    radius: Radius = None,
-    feed: Feed = None,
-    direction: Direction = None,
-    axis: Axis = None,
-    pitch: _Pitch = None,
-    instrument: _Instrument = None,
-    kind: Kind = None,
-    setup: Setup = None,
-    repeat: Repeat = None,
-    machine: Machine = None,
-    started: Started = None,
-    campaign: Annotated[
-        str | None, typer.Option(help="Of such a table: name of the campaign; else the file's.")
-    ] = None,
+    told: Mapping[str, Any],
     as_json: Json = False,
 ) -> None:
     """Bring measurements into the lake. Safe to repeat."""
@@ -159,9 +103,6 @@ def ingest(
     from dtwin.lake.store import Lake
 
     lake = Lake(home().lake)
-    told = told_of(
-        plane, radius, feed, direction, axis, setup, repeat, machine, campaign, pitch, instrument, kind, started
-    )
     reports = [ingest_one(path, lake, ProgressLine(f"ingest {path.name}", quiet=as_json), told) for path in sources]
     payload = {"campaigns": [_report_dict(report) for report in reports]}
     emit(payload, lambda: "\n\n".join(map(_report_text, reports)), as_json=as_json)
@@ -263,42 +204,6 @@ def migrate(as_json: Json = False) -> None:
         return "\n".join([*lines, f"machines sealed as they are: {sealed}"])
 
     emit(asdict(migrated), text, as_json=as_json)
-
-
-def told_of(
-    plane: str | None,
-    radius: float | None,
-    feed: float | None,
-    direction: str | None,
-    axis: str | None,
-    setup: str | None,
-    repeat: int | None,
-    machine: str | None,
-    campaign: str | None = None,
-    pitch: float | None = None,
-    instrument: str | None = None,
-    kind: str | None = None,
-    started: str | None = None,
-) -> dict[str, Any]:
-    """Return what the options tell of a table, named as in campaign.toml; the machine's record knows the pitch of a screw."""
-    from dtwin.machine_record import read_record
-
-    record = read_record(home(), machine) if pitch is None and machine and axis else None
-    return {
-        "plane": plane,
-        "radius_mm": radius,
-        "feed_mm_min": feed,
-        "direction": direction,
-        "axis": axis,
-        "instrument": instrument,
-        "screw_pitch_mm": pitch if record is None else record.axes.get(axis or "", {}).get("pitch_mm"),
-        "setup": setup,
-        "repeat": repeat,
-        "machine": machine,
-        "campaign": campaign,
-        "kind": kind,
-        "started": started,
-    }
 
 
 def _recovered(folder: Path) -> list[RecordedRun]:

@@ -6,13 +6,14 @@ import json
 import shlex
 import sys
 import threading
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from dtwin.commands._data import Axis, Direction, Feed, Kind, Machine, Plane, Radius, Repeat, Setup, Started, told_of
 from dtwin.commands._output import Json, emit
+from dtwin.commands._told import tells_a_table
 from dtwin.config import home
 from dtwin.errors import InputError, Interrupted
 
@@ -24,8 +25,10 @@ app = typer.Typer()
 
 
 @app.command("import")
+@tells_a_table("pitch", "instrument")
 def import_table(
     source: Annotated[Path, typer.Argument(help="A table of text, in any dialect, or a spreadsheet.")],
+    told: Mapping[str, Any],
     out: Annotated[Path | None, typer.Option(help="Campaign folder to make; without, nothing is written.")] = None,
     column: Annotated[
         list[str] | None,
@@ -39,23 +42,11 @@ def import_table(
     as_remembered: Annotated[
         bool, typer.Option("--as-remembered", help="The conditions of the earlier file hold for this one, too.")
     ] = False,
-    plane: Plane = None,
-    radius: Radius = None,
-    feed: Feed = None,
-    direction: Direction = None,
-    axis: Axis = None,
-    setup: Setup = None,
-    repeat: Repeat = None,
-    machine: Machine = None,
-    started: Started = None,
-    kind: Kind = None,
-    campaign: Annotated[str | None, typer.Option(help="Name of the campaign; the file's without.")] = None,
     as_json: Json = False,
 ) -> None:
     """Say what a foreign table is taken for; with --out make a campaign folder of it, and remember the answers."""
     from dtwin.acquire.importing import understand, write_folder
 
-    told = told_of(plane, radius, feed, direction, axis, setup, repeat, machine, campaign, kind=kind, started=started)
     understood = understand(source, home(), told, _answers(column or []), decimal)
     toml = None if out is None else write_folder(understood, out, home(), confirmed=as_remembered)
     payload = {**understood.as_dict(), "written": None if toml is None else str(toml)}
