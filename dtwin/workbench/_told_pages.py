@@ -11,7 +11,7 @@ from starlette.responses import Response
 from dtwin.errors import InputError
 from dtwin.kinds.volumetric.heat_twins import HeatTwins
 from dtwin.kinds.volumetric.motions import FAMILIES
-from dtwin.kinds.volumetric.twin_report import term_table
+from dtwin.kinds.volumetric.twin_report import REPORT
 from dtwin.physics.twin import Twin
 from dtwin.report.faults import faults, grouped
 from dtwin.report.html import Table
@@ -132,6 +132,6 @@ def heat_page(request: Request, name: str, on: str = "") -> Response:
         campaigns=campaigns,
         diagnosis=reading.diagnosis_of(bench, name, twin.version),
         rungs=twins.history(name),
-        terms=term_table(twin),
+        terms=REPORT.parameter_table(twin),
         families=FAMILIES.values(),
     )

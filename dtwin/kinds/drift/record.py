@@ -47,7 +47,7 @@ class _Drift(Kind):
         "champion_error": "_training:logs_error",
         "held_out": "_training:logs_held_out",
         "export_twin": "_export:export_twin",
-        "twin_report": "_twin_report",
+        "twin_report": "_twin_report:REPORT",
     }
 
 

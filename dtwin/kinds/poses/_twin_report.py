@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from dtwin.report.html import Part, Section, Table, parts_text
-from dtwin.report.machine_twin import candidate_table, missing_section
-from dtwin.report.machine_twin import history_section as history_section
-from dtwin.report.text import micrometres, table, words_of
+from dtwin.report.html import Part, Table
+from dtwin.report.machine_twin import candidate_table
+from dtwin.report.term_twins import TermTwinReport
+from dtwin.report.text import micrometres, words_of
 
 if TYPE_CHECKING:
     import plotly.graph_objects as go
@@ -18,123 +18,86 @@ if TYPE_CHECKING:
 _UNIT = "unit of replication: the block of neighbouring poses"
 
 
-def _parameter_table(twin: PoseTwin, *, in_words: bool = True) -> Table:
-    """Return the parameters; what the poses cannot tell is said so, without a number.
+class _PoseReport(TermTwinReport):
+    """How twins of an arm are told."""
 
-    ``in_words``: names of effects for people; else as commands take them.
-    """
-    rows = [
-        (
-            words_of(p["effect"]) if in_words else p["effect"],
-            p["axis"],
-            p["name"],
-            "not identifiable" if p["value"] is None else f"{p['value']:z.3f}",
-            "" if p["value"] is None else f"± {p['uncertainty']:z.3f}",
-            p["unit"],
+    without_effects = "no effects yet: frame and tool alone"
+
+    def parameter_table(self, twin: PoseTwin, *, in_words: bool = True) -> Table:
+        """Return the parameters; what the poses cannot tell is said so, without a number."""
+        rows = [
+            (
+                words_of(p["effect"]) if in_words else p["effect"],
+                p["axis"],
+                p["name"],
+                "not identifiable" if p["value"] is None else f"{p['value']:z.3f}",
+                "" if p["value"] is None else f"± {p['uncertainty']:z.3f}",
+                p["unit"],
+            )
+            for p in twin.as_dict()["parameters"]
+        ]
+        return Table(("effect", "joint", "parameter", "value", "95 %", "unit"), rows)
+
+    def compared(self, result: Mapping[str, Any]) -> list[str]:
+        floor = result["noise_floor_um"]
+        return [
+            f"twin {result['twin']} version {result['version']} against campaign {result['campaign']} "
+            f"({result['runs']} readings)",
+            f"mean error {result['mean_before_mm']:z.4f} (frame and tool alone) -> {result['mean_after_mm']:z.4f} mm; "
+            + ("no repeats, no floor" if floor is None else f"scatter of repeats {floor:z.0f} µm"),
+            f"with frame and tool as they were fitted to the twin's own campaign: {result['mean_same_mounting_mm']:z.4f} mm",
+            "largest:",
+            *(f"  row {w['row']}, joints {w['joints_deg']} deg: {w['left_mm']:z.3f} mm" for w in result["where"]),
+        ]
+
+    def told(self, name: str, result: Mapping[str, Any]) -> list[Part]:
+        lines: list[Part] = [
+            f"{result['verdict']}: {result['headline']}",
+            f"{micrometres(result['held_out_rms_um'])} µm RMS on poses held out ({_UNIT})",
+        ]
+        lines += candidate_table(result["candidates"])
+        if result.get("nested_mean_mm") is not None:
+            lines.append(
+                "with the effects chosen anew without them, from nothing, quarters of the blocks are left with a mean of "
+                f"{result['nested_mean_mm']:z.4f} mm"
+            )
+        if result.get("idle"):
+            lines.append(f"pays nothing beside the others: {', '.join(result['idle'])}")
+        if result.get("doubtful"):
+            lines.append(
+                f"perhaps a part of what no effect explains, for they are small beside it: {', '.join(result['doubtful'])}"
+            )
+        if result["invisible"]:
+            lines.append(f"not identifiable beside frame, tool and what the twin has: {', '.join(result['invisible'])}")
+        if result["next_experiment"]:
+            lines.append(f"next: {result['next_experiment']['text']}")
+        best = next((c for c in result["candidates"] if c["in_group"]), None)
+        return [*lines, f"try: dtwin twin add {name} {best['label']}" if best else "nothing to add"]
+
+    def figures(self, found: PoseComparison, result: Mapping[str, Any]) -> list[go.Figure]:
+        """Draw every reading before and after, and where the poses lie that are left furthest off."""
+        # Commands that print no figure do not wait for plotly.
+        import numpy as np
+
+        from dtwin.kinds.poses._fit import left_mm
+        from dtwin.kinds.poses._sheet import above_figure
+        from dtwin.report.plots import error_figure
+
+        grams = found.loaded.grams
+        sizes = {"without": left_mm(grams, ()), "with the twin": found.left_mm}
+        rows = found.loaded.rows.astype(np.float64)
+        curves = {name: (rows, 1000.0 * np.linalg.norm(left, axis=1)) for name, left in sizes.items()}
+        title = "Distance from the commanded pose, frame and tool fitted"
+        by_reading = error_figure(curves, title=title, x_title="row of the table", y_title="distance, µm")
+        return [by_reading, above_figure(grams.series, found.left_mm, "What the twin leaves, from above")]
+
+    def fell(self, figures: Mapping[str, float | None]) -> str:
+        floor = figures["noise_floor_um"]
+        return (
+            f"mean error {figures['mean_before_mm']:z.4f} (frame and tool alone) -> {figures['mean_after_mm']:z.4f} mm, "
+            f"{figures['held_out_mean_mm']:z.4f} mm on poses held out ({_UNIT}); "
+            + ("no repeats: the floor is not known" if floor is None else f"scatter of repeats {floor:z.0f} µm")
         )
-        for p in twin.as_dict()["parameters"]
-    ]
-    return Table(("effect", "joint", "parameter", "value", "95 %", "unit"), rows)
 
 
-def twin_text(twin: PoseTwin) -> str:
-    """Return a twin for the terminal."""
-    shown = _parameter_table(twin, in_words=False)
-    head = (
-        f"twin {twin.name} version {twin.version} ({twin.action}) of machine {twin.machine}, campaign {twin.campaign}\n"
-        f"{_fell(twin.figures)}"
-    )
-    return "\n".join([head, table(shown.head, shown.rows) if shown.rows else "no effects yet: frame and tool alone"])
-
-
-def comparison_text(result: Mapping[str, Any]) -> str:
-    """Return a comparison for the terminal."""
-    return "\n".join(_compared(result))
-
-
-def _compared(result: Mapping[str, Any]) -> list[str]:
-    """Return what a comparison tells, line by line."""
-    floor = result["noise_floor_um"]
-    return [
-        f"twin {result['twin']} version {result['version']} against campaign {result['campaign']} "
-        f"({result['runs']} readings)",
-        f"mean error {result['mean_before_mm']:z.4f} (frame and tool alone) -> {result['mean_after_mm']:z.4f} mm; "
-        + ("no repeats, no floor" if floor is None else f"scatter of repeats {floor:z.0f} µm"),
-        f"with frame and tool as they were fitted to the twin's own campaign: {result['mean_same_mounting_mm']:z.4f} mm",
-        "largest:",
-        *(f"  row {w['row']}, joints {w['joints_deg']} deg: {w['left_mm']:z.3f} mm" for w in result["where"]),
-    ]
-
-
-def diagnosis_text(name: str, result: Mapping[str, Any]) -> str:
-    """Return a diagnosis for the terminal."""
-    return parts_text(_told(name, result))
-
-
-def _told(name: str, result: Mapping[str, Any]) -> list[Part]:
-    """Return what a diagnosis tells, line by line."""
-    lines: list[Part] = [
-        f"{result['verdict']}: {result['headline']}",
-        f"{micrometres(result['held_out_rms_um'])} µm RMS on poses held out ({_UNIT})",
-    ]
-    lines += candidate_table(result["candidates"])
-    if result.get("nested_mean_mm") is not None:
-        lines.append(
-            "with the effects chosen anew without them, from nothing, quarters of the blocks are left with a mean of "
-            f"{result['nested_mean_mm']:z.4f} mm"
-        )
-    if result.get("idle"):
-        lines.append(f"pays nothing beside the others: {', '.join(result['idle'])}")
-    if result.get("doubtful"):
-        lines.append(
-            f"perhaps a part of what no effect explains, for they are small beside it: {', '.join(result['doubtful'])}"
-        )
-    if result["invisible"]:
-        lines.append(f"not identifiable beside frame, tool and what the twin has: {', '.join(result['invisible'])}")
-    if result["next_experiment"]:
-        lines.append(f"next: {result['next_experiment']['text']}")
-    best = next((c for c in result["candidates"] if c["in_group"]), None)
-    return [*lines, f"try: dtwin twin add {name} {best['label']}" if best else "nothing to add"]
-
-
-def diagnosis_section(name: str, result: Mapping[str, Any]) -> Section:
-    """Return a diagnosis for a report."""
-    return missing_section(result, _told(name, result))
-
-
-def twin_section(twin: PoseTwin) -> Section:
-    """Return a twin for a report."""
-    return Section("The twin", [_fell(twin.figures)], tables=[_parameter_table(twin)])
-
-
-def comparison_sections(found: PoseComparison | None, result: Mapping[str, Any]) -> list[Section]:
-    """Return a comparison for a report; without ``found`` as text."""
-    drawn = [] if found is None else _figures(found)
-    return [Section("Measured against predicted", [line.strip() for line in _compared(result)], figures=drawn)]
-
-
-def _figures(found: PoseComparison) -> list[go.Figure]:
-    """Draw every reading before and after, and where the poses lie that are left furthest off."""
-    # Commands that print no figure do not wait for plotly.
-    import numpy as np
-
-    from dtwin.kinds.poses._fit import left_mm
-    from dtwin.kinds.poses._sheet import above_figure
-    from dtwin.report.plots import error_figure
-
-    grams = found.loaded.grams
-    sizes = {"without": left_mm(grams, ()), "with the twin": found.left_mm}
-    rows = found.loaded.rows.astype(np.float64)
-    curves = {name: (rows, 1000.0 * np.linalg.norm(left, axis=1)) for name, left in sizes.items()}
-    title = "Distance from the commanded pose, frame and tool fitted"
-    by_reading = error_figure(curves, title=title, x_title="row of the table", y_title="distance, µm")
-    return [by_reading, above_figure(grams.series, found.left_mm, "What the twin leaves, from above")]
-
-
-def _fell(figures: Mapping[str, float | None]) -> str:
-    floor = figures["noise_floor_um"]
-    return (
-        f"mean error {figures['mean_before_mm']:z.4f} (frame and tool alone) -> {figures['mean_after_mm']:z.4f} mm, "
-        f"{figures['held_out_mean_mm']:z.4f} mm on poses held out ({_UNIT}); "
-        + ("no repeats: the floor is not known" if floor is None else f"scatter of repeats {floor:z.0f} µm")
-    )
+REPORT = _PoseReport()

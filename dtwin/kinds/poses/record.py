@@ -48,7 +48,7 @@ class _Poses(Kind):
         "export_twin": "_export:export_twin",
         "effects": "_effects:EFFECTS",
         "twins": "_twins:PoseTwins",
-        "twin_report": "_twin_report",
+        "twin_report": "_twin_report:REPORT",
     }
 
     def campaign_figures(self, runs: Sequence[Run], progress: Progress = silent) -> Mapping[str, Any]:

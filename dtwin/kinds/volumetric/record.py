@@ -37,7 +37,7 @@ class _Volumetric(Kind):
         "drawings": "dtwin.kinds.volumetric.twin_report:DRAWINGS",
         "effects": "dtwin.kinds.volumetric.motions:FAMILIES",
         "twins": "dtwin.kinds.volumetric.heat_twins:HeatTwins",
-        "twin_report": "dtwin.kinds.volumetric.twin_report",
+        "twin_report": "dtwin.kinds.volumetric.twin_report:REPORT",
         "training": "_training:train_volumetric",
         "recognises": "_training:is_volumetric_bundle",
         "gates": "_training:volumetric_gates",

@@ -16,141 +16,15 @@ from dtwin.kinds.volumetric._heat_series import body_of
 from dtwin.kinds.volumetric._movers import MATERIAL
 from dtwin.kinds.volumetric.heat_twin import HeatTwin
 from dtwin.kinds.volumetric.motions import FAMILIES, Family, family_of, motion_words
-from dtwin.report.html import Part, Section, Table, parts_text
-from dtwin.report.machine_twin import history_section as history_section
+from dtwin.report.html import Part, Section, Table
 from dtwin.report.machine_twin import missing_section
 from dtwin.report.plots import COLOURS, draw_line, lacks_columns, places_figure, styled
+from dtwin.report.term_twins import TermTwinReport
 from dtwin.report.text import micrometres, table
 from dtwin.schema import Run
 
 _SEVERITY = {"nothing_missing": "info", "unknown_effect": "error"}
 _UNIT = "unit of replication: the cycle, fewer where heat lasts"
-
-
-def twin_text(twin: HeatTwin) -> str:
-    """Return a twin for the terminal."""
-    figures = twin.figures
-    head = (
-        f"twin {twin.name} version {twin.version} ({twin.action}) of machine {twin.machine}, "
-        f"campaign {twin.campaign}\n"
-        f"error at the balls {micrometres(figures['rms_before_um'])} -> "
-        f"{micrometres(figures['rms_after_um'])} µm RMS, "
-        f"{micrometres(figures['held_out_rms_um'])} µm on hours left out; noise floor "
-        f"{micrometres(figures['noise_floor_um'])} µm ({_UNIT})\n"
-    )
-    shown = term_table(twin)
-    return "\n".join([head, table(shown.head, shown.rows) if shown.rows else "no effects yet"])
-
-
-def term_table(twin: HeatTwin) -> Table:
-    """Return the error motions of a twin, and what drives them."""
-    rows = [
-        (
-            term.label,
-            motion_words(term.motion),
-            family_of(term.motion).name,
-            str(len(model.sensors)),
-            _bodies(model.sensors) or f"nothing surely: {term.motion}@BODY names it",
-        )
-        for term, model in zip(twin.terms, twin.models, strict=True)
-    ]
-    return Table(("effect", "what", "family", "inputs", "driven by"), rows)
-
-
-def comparison_text(result: Mapping[str, Any]) -> str:
-    """Return a comparison for the terminal."""
-    days, motions = _day_table(result), _motion_table(result)
-    return "\n".join(
-        [
-            f"twin {result['twin']} version {result['version']} against campaign "
-            f"{result['campaign']} ({result['runs']} cycles)",
-            table(days.head, days.rows),
-            f"error at the balls {micrometres(result['rms_before_um'])} -> "
-            f"{micrometres(result['residual_rms_um'])} µm RMS, of which error "
-            f"motions are {micrometres(result['systematic_rms_um'])} µm; noise floor "
-            f"{micrometres(result['noise_floor_um'])} µm ({_UNIT})",
-            "most left, RMS at the balls:",
-            table(motions.head, motions.rows),
-            "largest, noise left aside:",
-            *(f"  {_place(place)}" for place in result["where"]),
-            *(f"warning: {warning}" for warning in result["warnings"]),
-        ]
-    )
-
-
-def diagnosis_text(name: str, result: Mapping[str, Any]) -> str:
-    """Return a diagnosis for the terminal."""
-    return parts_text(_told(name, result))
-
-
-def _told(name: str, result: Mapping[str, Any]) -> list[Part]:
-    """Return what a diagnosis tells, line by line."""
-    lines: list[Part] = [
-        f"{result['verdict']}: {result['headline']}",
-        f"residual at the balls {micrometres(result['residual_rms_um'])} µm RMS, of which error "
-        f"motions are {micrometres(result['systematic_rms_um'])} µm; noise floor "
-        f"{micrometres(result['noise_floor_um'])} µm ({_UNIT})",
-    ]
-    if result["candidates"]:
-        head = ("motion", "seen, µm", "after, µm", "told on hours left out", "p", "by", "in group")
-        rows = [
-            (
-                c["effect"],
-                micrometres(c["seen_um"]),
-                micrometres(c["rms_after_um"]),
-                f"{100 * c['cv_gain']:z.0f} %" if c["cv_gain"] > 0.0 else "nothing",
-                f"{c['p_value']:.1g}",
-                _told_by(c, result.get("one_body")),
-                "yes" if c["in_group"] else "",
-            )
-            for c in result["candidates"]
-        ]
-        lines.append(Table(head, rows))
-        now = result["residual_rms_um"]
-        if any(c["add"] and c["rms_after_um"] > now for c in result["candidates"]):
-            lines.append("more after than now: it offsets another at these balls until both are in")
-    apart = [said for c in result["candidates"] if c["add"] and (said := _not_told_apart(c))]
-    if apart:
-        lines += ["these hours do not tell apart:", *(f"  {said}" for said in apart)]
-    if one_body := result.get("one_body"):
-        lines.append(
-            f"{one_body[0]} to {one_body[-1]} are of one body by their names, and nothing in it is told apart: "
-            "name each by what it sits on (bed_1_c, ram_1_c)"
-        )
-    if result["quiet"]:
-        lines.append(f"move, but by less than {100 * MATERIAL:z.0f} % of the floor: {', '.join(result['quiet'])}")
-    if result["next_experiment"]:
-        lines.append(f"next: {result['next_experiment']['text']}")
-    return [*lines, *_advice(name, result)]
-
-
-def comparison_sections(found: object, result: Mapping[str, Any]) -> list[Section]:
-    """Return measured against predicted: motion by motion and day by day."""
-    said = (
-        f"Version {result['version']} against {result['campaign']}: {result['runs']} cycles, "
-        f"{micrometres(result['rms_before_um'])} -> {micrometres(result['residual_rms_um'])} µm RMS at the "
-        f"balls, noise floor {micrometres(result['noise_floor_um'])} µm ({_UNIT})."
-    )
-    return [
-        Section(
-            "Measured against predicted",
-            [said],
-            [("warning", warning) for warning in result["warnings"]],
-            figures=[_motion_figure(result), _day_figure(result)],
-        ),
-        Section("Where it fails", [_place(place) for place in result["where"]]),
-    ]
-
-
-def diagnosis_section(name: str, result: Mapping[str, Any]) -> Section:
-    """Return what is missing."""
-    severity = _SEVERITY.get(result["verdict"], "warning")
-    return missing_section(result, _told(name, result), severity, f"{result['verdict']}: {result['headline']}")
-
-
-def twin_section(twin: HeatTwin) -> Section:
-    """Return the twin and its error motions."""
-    return Section("The twin", [twin_text(twin).split("\n")[1]], tables=[term_table(twin)])
 
 
 def family_dict(family: Family) -> dict[str, Any]:
@@ -315,3 +189,113 @@ DRAWINGS = (
     Drawing("above", "Error at the balls, seen from above", 460, partial(_seen, axes=("X", "Y")), half=True),
     Drawing("front", "Error at the balls, seen from the front", 460, partial(_seen, axes=("X", "Z")), half=True),
 )
+
+
+class _HeatReport(TermTwinReport):
+    """How twins of heat are told."""
+
+    without_effects = "no effects yet"
+
+    def parameter_table(self, twin: HeatTwin, *, in_words: bool = True) -> Table:
+        """Return the error motions of a twin, and what drives them."""
+        rows = [
+            (
+                term.label,
+                motion_words(term.motion),
+                family_of(term.motion).name,
+                str(len(model.sensors)),
+                _bodies(model.sensors) or f"nothing surely: {term.motion}@BODY names it",
+            )
+            for term, model in zip(twin.terms, twin.models, strict=True)
+        ]
+        return Table(("effect", "what", "family", "inputs", "driven by"), rows)
+
+    def fell(self, figures: Mapping[str, Any]) -> str:
+        return (
+            f"error at the balls {micrometres(figures['rms_before_um'])} -> {micrometres(figures['rms_after_um'])} µm RMS, "
+            f"{micrometres(figures['held_out_rms_um'])} µm on hours left out; noise floor "
+            f"{micrometres(figures['noise_floor_um'])} µm ({_UNIT})"
+        )
+
+    def compared(self, result: Mapping[str, Any]) -> list[str]:
+        days, motions = _day_table(result), _motion_table(result)
+        return [
+            f"twin {result['twin']} version {result['version']} against campaign "
+            f"{result['campaign']} ({result['runs']} cycles)",
+            table(days.head, days.rows),
+            f"error at the balls {micrometres(result['rms_before_um'])} -> "
+            f"{micrometres(result['residual_rms_um'])} µm RMS, of which error "
+            f"motions are {micrometres(result['systematic_rms_um'])} µm; noise floor "
+            f"{micrometres(result['noise_floor_um'])} µm ({_UNIT})",
+            "most left, RMS at the balls:",
+            table(motions.head, motions.rows),
+            "largest, noise left aside:",
+            *(f"  {_place(place)}" for place in result["where"]),
+            *(f"warning: {warning}" for warning in result["warnings"]),
+        ]
+
+    def told(self, name: str, result: Mapping[str, Any]) -> list[Part]:
+        lines: list[Part] = [
+            f"{result['verdict']}: {result['headline']}",
+            f"residual at the balls {micrometres(result['residual_rms_um'])} µm RMS, of which error "
+            f"motions are {micrometres(result['systematic_rms_um'])} µm; noise floor "
+            f"{micrometres(result['noise_floor_um'])} µm ({_UNIT})",
+        ]
+        if result["candidates"]:
+            head = ("motion", "seen, µm", "after, µm", "told on hours left out", "p", "by", "in group")
+            rows = [
+                (
+                    c["effect"],
+                    micrometres(c["seen_um"]),
+                    micrometres(c["rms_after_um"]),
+                    f"{100 * c['cv_gain']:z.0f} %" if c["cv_gain"] > 0.0 else "nothing",
+                    f"{c['p_value']:.1g}",
+                    _told_by(c, result.get("one_body")),
+                    "yes" if c["in_group"] else "",
+                )
+                for c in result["candidates"]
+            ]
+            lines.append(Table(head, rows))
+            now = result["residual_rms_um"]
+            if any(c["add"] and c["rms_after_um"] > now for c in result["candidates"]):
+                lines.append("more after than now: it offsets another at these balls until both are in")
+        apart = [said for c in result["candidates"] if c["add"] and (said := _not_told_apart(c))]
+        if apart:
+            lines += ["these hours do not tell apart:", *(f"  {said}" for said in apart)]
+        if one_body := result.get("one_body"):
+            lines.append(
+                f"{one_body[0]} to {one_body[-1]} are of one body by their names, and nothing in it is told apart: "
+                "name each by what it sits on (bed_1_c, ram_1_c)"
+            )
+        if result["quiet"]:
+            lines.append(f"move, but by less than {100 * MATERIAL:z.0f} % of the floor: {', '.join(result['quiet'])}")
+        if result["next_experiment"]:
+            lines.append(f"next: {result['next_experiment']['text']}")
+        return [*lines, *_advice(name, result)]
+
+    def figures(self, found: object, result: Mapping[str, Any]) -> list[go.Figure]:
+        return [_motion_figure(result), _day_figure(result)]
+
+    def comparison_sections(self, found: object, result: Mapping[str, Any]) -> list[Section]:
+        """Return measured against predicted: motion by motion and day by day."""
+        said = (
+            f"Version {result['version']} against {result['campaign']}: {result['runs']} cycles, "
+            f"{micrometres(result['rms_before_um'])} -> {micrometres(result['residual_rms_um'])} µm RMS at the "
+            f"balls, noise floor {micrometres(result['noise_floor_um'])} µm ({_UNIT})."
+        )
+        return [
+            Section(
+                "Measured against predicted",
+                [said],
+                [("warning", warning) for warning in result["warnings"]],
+                figures=self.figures(found, result),
+            ),
+            Section("Where it fails", [_place(place) for place in result["where"]]),
+        ]
+
+    def diagnosis_section(self, name: str, result: Mapping[str, Any]) -> Section:
+        severity = _SEVERITY.get(result["verdict"], "warning")
+        return missing_section(result, self.told(name, result), severity, f"{result['verdict']}: {result['headline']}")
+
+
+REPORT = _HeatReport()

@@ -19,7 +19,7 @@ from dtwin.kinds.volumetric._identify import Artefact, Balls
 from dtwin.kinds.volumetric.heat_twin import fit_heat, heat_figures, heat_told, heat_twin_from
 from dtwin.kinds.volumetric.heat_twins import HeatTwins
 from dtwin.kinds.volumetric.motions import FAMILIES, family_of, heat_terms
-from dtwin.kinds.volumetric.twin_report import diagnosis_text
+from dtwin.kinds.volumetric.twin_report import REPORT
 
 NOISE = 0.5
 MOTIONS = ("EX0", "EXX1", "EZX2", "EXZ1")
@@ -114,10 +114,10 @@ def test_thermocouples_that_differ_by_number_alone_are_told_by_name() -> None:
     made = series({"EXX1": 2.0 * BED})
     named = dict(zip((f"t{n}_c" for n in range(1, 5)), (made.rise_c[name] for name in made.thermocouples), strict=True))
     said = found(replace(made, rise_c=named, begun_c=dict.fromkeys(named, 20.0), thermocouples=tuple(named)))
-    text = diagnosis_text("t", said.as_dict())
+    text = REPORT.diagnosis_text("t", said.as_dict())
     assert "t1_c to t4_c are of one body by their names" in text
     assert {"t1_c", "t2_c"} & set(text.split())
-    assert "of one body" not in diagnosis_text("t", found(made).as_dict())
+    assert "of one body" not in REPORT.diagnosis_text("t", found(made).as_dict())
 
 
 def with_room(made: HeatSeries, room: np.ndarray) -> HeatSeries:
