@@ -6,6 +6,7 @@ import csv
 import gzip
 import io
 import re
+import warnings
 import zipfile
 from collections.abc import Collection, Iterator, Sequence
 from datetime import date, datetime, time, timedelta
@@ -270,6 +271,8 @@ def _opened(data: bytes, *, data_only: bool = False) -> Any:
     from openpyxl.worksheet._read_only import ReadOnlyWorksheet
 
     setattr(ReadOnlyWorksheet, "_get_size", lambda sheet: None)  # noqa: B010
+    # Of styles, names and dates beyond its calendar, which are nothing that is read here.
+    warnings.filterwarnings("ignore", module="openpyxl")
     return openpyxl.load_workbook(io.BytesIO(data), read_only=True, data_only=data_only, keep_links=False)
 
 

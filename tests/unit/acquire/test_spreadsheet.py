@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import os
+import re
 import zipfile
 from datetime import datetime, time, timedelta
 from pathlib import Path
@@ -65,6 +66,17 @@ def test_a_circle_in_a_spreadsheet_is_the_same_run_as_its_csv(tmp_path: Path) ->
     ingest(sheet, lake, told=told)
     ingest(tmp_path / "text.csv", lake, told=told)
     require_alike(lake, "sheet", "text", 1)
+
+
+def test_what_a_library_misses_in_the_styles_of_a_workbook_is_not_printed(
+    tmp_path: Path, recwarn: pytest.WarningsRecorder
+) -> None:
+    whole, bare = write(tmp_path / "whole.xlsx", circle()), tmp_path / "bare.xlsx"
+    with zipfile.ZipFile(whole) as read, zipfile.ZipFile(bare, "w") as written:
+        for name in read.namelist():
+            written.writestr(name, re.sub(rb"<cellStyles.*</cellStyles>", b"", read.read(name)))
+    assert table_bytes(bare, 10**6) == table_bytes(whole, 10**6)
+    assert not recwarn.list
 
 
 def test_a_positioning_table_in_a_spreadsheet_is_recognised(tmp_path: Path) -> None:
