@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dtwin.errors import InputError
 from dtwin.physics.linear import linear_figures
@@ -94,10 +93,11 @@ def _first(runs: Sequence[Run]) -> str:
     return begun.pop() if len(begun) == 1 else ""
 
 
-def _by_target(run: Run, way: str, scale: Scale) -> tuple[NDArray[np.int64], Floats]:
-    """Return the numbers of targets, ascending, and the last error that was read at each."""
+def _by_target(run: Run, way: str, scale: Scale) -> tuple[Floats, Floats]:
+    """Return the whole numbers of targets, ascending, and the last error that was read at each."""
     chosen = run.samples["direction"] == way
-    numbers = np.round(run.samples[scale.position][chosen] / TARGET_MM).astype(np.int64)
+    # Of a position that no machine has, there is no integer; no zero is below zero.
+    numbers = np.round(run.samples[scale.position][chosen].astype(float) / TARGET_MM) + 0.0
     unique, last = np.unique(numbers[::-1], return_index=True)
     return unique, np.asarray(run.samples[scale.error][chosen][::-1][last], dtype=float)
 

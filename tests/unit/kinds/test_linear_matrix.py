@@ -54,3 +54,9 @@ def test_a_cycle_keeps_its_number_where_another_is_left_out() -> None:
         runs.append(replace(run, samples={**run.samples, "error_um": error_um}))
     (found,) = kind_named("linear").judge_campaign(runs)
     assert "cycle 4 forward at 43 mm" in found.message
+
+
+def test_a_position_that_no_machine_has_is_told_as_it_is() -> None:
+    found = linear_test([swept(1, [-0.0, 24.0, 1e60], [1e60, 24.0, 0.0])])
+    assert np.allclose(found.position_mm, [0.0, 24.0, 1e60])
+    assert not np.signbit(found.position_mm).any()
