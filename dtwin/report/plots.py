@@ -269,6 +269,7 @@ def _short(values: Floats) -> list[float]:
 
 
 def _round_factor(value: float) -> float:
-    """Return the largest of 1, 2, 5 times a power of ten that is not above a value."""
-    power = 10.0 ** np.floor(np.log10(max(value, 1e-9)))
+    """Return the largest of 1, 2, 5 times a power of ten that is not above a value; a billionth for a smaller one."""
+    value = max(value, 1e-9)
+    power = 10.0 ** np.floor(np.log10(value))
     return float(max(m * power for m in (1.0, 2.0, 5.0) if m * power <= value * (1 + 1e-9)))

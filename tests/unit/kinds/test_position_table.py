@@ -1574,8 +1574,11 @@ def test_a_pitch_that_is_stated_anew_or_a_whole_number_counts(tmp_path: Path) ->
         (run,) = lake.iterate("a")
         assert linear_test([run]).pitch_mm == pitch
         assert "linear.step_divides_pitch" in {f.code for f in run.findings}
-    for setting in ("machine_geometry.screw_pitch_mm=abc", "condition.screw_pitch_mm=-5"):
-        with pytest.raises(InputError, match="pitch is no length"):
+    for setting, said in (
+        ("machine_geometry.screw_pitch_mm=abc", "screw_pitch_mm is not usable"),
+        ("condition.screw_pitch_mm=-5", "pitch is no length"),
+    ):
+        with pytest.raises(InputError, match=said):
             amend(lake, "a", [setting], "typo")
 
 

@@ -59,3 +59,9 @@ def test_a_map_of_many_conditions_fits_below_its_headline_on_a_page() -> None:
     """It stood on a page of its own, and left the one before nearly empty."""
     made = residual_map(np.ones((100, 360)), [str(n) for n in range(100)], floor_um=0.5, title="Mean residual")
     assert (made.layout.height, made.layout.yaxis.dtick) == (800, 2)
+
+
+def test_an_error_of_any_size_is_drawn() -> None:
+    angle = np.linspace(0.0, 360.0, 100)
+    for largest_um in (0.0, 1e-12, 1e60):
+        polar_figure({"measured": (angle, largest_um * np.sin(angle))}, 100.0, title="", plane="XY")
