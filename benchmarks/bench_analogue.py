@@ -28,13 +28,13 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
 from simulated_analogue_board import AnalogueBoard
 
-from dtwin.links.analogue import BAUD, AnalogueOutput, Output
+from dtwin.links.analogue import _BAUD, AnalogueOutput, _Output
 
 CLOCK_HZ, ANSWER_BYTES = 16e6, 19
 WARM_UP = 50
 
 
-def measured(mode: Output, in_flight: int, corrections: int) -> dict[str, float | str]:
+def measured(mode: _Output, in_flight: int, corrections: int) -> dict[str, float | str]:
     with tempfile.TemporaryDirectory() as scratch, AnalogueBoard(Path(scratch)) as board:
         # A busy computer may simulate the board slower than it is.
         output = AnalogueOutput(board.port, output=mode, watchdog_ms=1000, in_flight=in_flight, timeout_s=5.0)
@@ -67,13 +67,13 @@ def main() -> None:
     arguments = parser.parse_args()
     arguments.corrections = 100 if arguments.short else arguments.corrections
     load = os.getloadavg()[0]
-    modes: tuple[Output, ...] = ("dac", "pwm")
+    modes: tuple[_Output, ...] = ("dac", "pwm")
     found = [measured(m, n, arguments.corrections) for m in modes for n in (1, 4)]
-    limits = {f"{bits} bits a byte": BAUD / bits / ANSWER_BYTES for bits in (10, 11)}
+    limits = {f"{bits} bits a byte": _BAUD / bits / ANSWER_BYTES for bits in (10, 11)}
     if arguments.json:
         print(json.dumps({"load_before": load, "limits_per_second": limits, "measured": found}))
         return
-    print(f"{BAUD} baud; load before {load:.2f}")
+    print(f"{_BAUD} baud; load before {load:.2f}")
     for name, limit in limits.items():
         print(f"  limit of the line, {name}: {limit:.0f} corrections/s")
     simulated = limits["11 bits a byte"]

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from dtwin.fleet.sisters import compared
+from dtwin.fleet.sisters import _compared
 from dtwin.machines.mill import VirtualMill
 from dtwin.machines.mill_parameters import AxisParameters, CircularTest, MillParameters, NoiseParameters
 from dtwin.physics.fit import fit
@@ -61,7 +61,7 @@ def story(spread: float, odd: int, noise_um: float, fleets: int) -> dict[str, An
             truth[i], _ = estimates(mill, 1000 + i, 8, 0.05)
             values[i], errors[i] = estimates(mill, 100 * number + i, 2, noise_um)
         for k in range(3):
-            found = compared(values[:, k], errors[:, k], 3 * MACHINES)
+            found = _compared(values[:, k], errors[:, k], 3 * MACHINES)
             scale = errors[:, k].mean()
             alone += list((values[:, k] - truth[:, k]) / scale)
             with_sisters += list((found.values - truth[:, k]) / scale)

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from dtwin.kinds.registry import kind_named
-from dtwin.report.checking import sheet_of
+from dtwin.report.checking import _sheet_of
 from dtwin.report.text import table
 from dtwin.schema import Campaign, Floats, Run, RunMeta
 
@@ -227,7 +227,7 @@ def figures(kind: str, runs: list[Run]) -> dict[str, tuple[float, float]]:
     """Return value and U of every figure, as a user gets them."""
     geometry = {"chain": "ur5"} if kind == "poses" else {}
     campaign = Campaign("c", "m", kind, instrument=PROBE if kind in OF_A_PROBE else TOLD, machine_geometry=geometry)
-    sheet = sheet_of(kind_named(kind), campaign, runs, {})
+    sheet = _sheet_of(kind_named(kind), campaign, runs, {})
     return {c["symbol"]: (c["value_um"], c["expanded_um"]) for c in sheet["parts"][0]["characteristics"]}
 
 

@@ -12,14 +12,14 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from dtwin.links.analogue_firmware import build_firmware, compiled
+from dtwin.links.analogue_firmware import _compiled, build_firmware
 
 _BOARD = Path(__file__).with_name("simulated_analogue_board.c")
 
 
 def build_board(out: Path) -> Path:
     """Compile the simulated board and return the program."""
-    return compiled(["gcc", "-O2", "-I/usr/include/simavr", str(_BOARD), "-lsimavr", "-lelf"], out)
+    return _compiled(["gcc", "-O2", "-I/usr/include/simavr", str(_BOARD), "-lsimavr", "-lelf"], out)
 
 
 class AnalogueBoard:

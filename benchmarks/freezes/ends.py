@@ -23,9 +23,9 @@ from simulated_analogue_board import AnalogueBoard
 
 from dtwin.config import Home
 from dtwin.errors import DeviceError
-from dtwin.links.analogue_calibration import AxisFit, save
+from dtwin.links.analogue_calibration import _AxisFit, save
 from dtwin.links.linuxcnc import Bridge, LinuxcncLink
-from dtwin.links.state_feed import REQUIRED
+from dtwin.links.state_feed import _REQUIRED
 from dtwin.links.virtual_key import proof
 from dtwin.machines.axis_server import AxisServer
 from dtwin.machines.linuxcnc.session import LinuxcncSession
@@ -301,7 +301,7 @@ class Feed:
         self._listener.close()
 
     def _serve(self) -> None:
-        still = dict.fromkeys(REQUIRED, 0.0) | {"runtime_running": 1.0, "safety_ok": 1.0, "direction_sign": 1.0}
+        still = dict.fromkeys(_REQUIRED, 0.0) | {"runtime_running": 1.0, "safety_ok": 1.0, "direction_sign": 1.0}
         with contextlib.suppress(OSError):
             while not self._ended.is_set():
                 client, _ = self._listener.accept()
@@ -339,7 +339,7 @@ class BoardEnd:
 @contextlib.contextmanager
 def board_end(home: Home) -> Iterator[End]:
     promote(home, "base_x", "real")
-    save(home.root / "analogue.json", {a: AxisFit(UM_PER_V, NEUTRAL_V, 0.01, 0.001, 0.05, {}, 5) for a in "xyz"})
+    save(home.root / "analogue.json", {a: _AxisFit(UM_PER_V, NEUTRAL_V, 0.01, 0.001, 0.05, {}, 5) for a in "xyz"})
     feed = Feed()
     try:
         with (

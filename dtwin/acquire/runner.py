@@ -20,7 +20,7 @@ from dtwin.plan import Plan, PlannedTest
 from dtwin.progress import Progress, silent
 from dtwin.schema import DEFAULT_KIND, Direction, Run
 
-MANIFEST = "manifest.jsonl"
+_MANIFEST = "manifest.jsonl"
 
 
 @runtime_checkable
@@ -145,7 +145,7 @@ def _save(folder: Path, plan: Plan, test: PlannedTest, runs: Sequence[Run]) -> d
         "started": runs[0].meta.started,
         "covariates": dict(runs[0].meta.covariates),
     }
-    with (folder / MANIFEST).open("a", encoding="utf-8") as manifest:
+    with (folder / _MANIFEST).open("a", encoding="utf-8") as manifest:
         manifest.write(json.dumps(entry) + "\n")
         manifest.flush()
         os.fsync(manifest.fileno())
@@ -154,7 +154,7 @@ def _save(folder: Path, plan: Plan, test: PlannedTest, runs: Sequence[Run]) -> d
 
 def _done(folder: Path) -> dict[str, dict[str, Any]]:
     """Return manifest entries whose files are there and unchanged."""
-    path = folder / MANIFEST
+    path = folder / _MANIFEST
     done: dict[str, dict[str, Any]] = {}
     if not path.exists():
         return done

@@ -109,7 +109,7 @@ def run_fleet(
         return run
 
 
-def _answers(at: Engine, home: Home, job: Job, units: list[Unit], seed: int) -> Iterator[tuple[Unit, Future[Any]]]:
+def _answers(at: _Engine, home: Home, job: Job, units: list[Unit], seed: int) -> Iterator[tuple[Unit, Future[Any]]]:
     """Yield units and their futures as they end; a few are under way at once."""
     rest = iter(units)
     under_way: dict[Future[Any], Unit] = {}
@@ -122,7 +122,7 @@ def _answers(at: Engine, home: Home, job: Job, units: list[Unit], seed: int) -> 
             yield under_way.pop(future), future
 
 
-def _ended(at: Engine, under_way: Collection[Future[Any]]) -> set[Future[Any]]:
+def _ended(at: _Engine, under_way: Collection[Future[Any]]) -> set[Future[Any]]:
     """Wait until a future ends, as long as somebody works."""
     nobody = 0
     while not (ended := wait(under_way, _LOOK_S, FIRST_COMPLETED).done):
@@ -184,7 +184,7 @@ _LOOK_S, _LOOKS = 20.0, 3
 
 
 @dataclass(frozen=True)
-class Engine:
+class _Engine:
     """An executor and how much work it is given at once.
 
     ``slots``: units that are under way at most; what is not under way costs no memory.
@@ -240,7 +240,7 @@ def _require_engine(on: str, workers: int | None) -> str:
 
 
 @contextmanager
-def engine(on: str = "local", workers: int | None = None) -> Iterator[Engine]:
+def engine(on: str = "local", workers: int | None = None) -> Iterator[_Engine]:
     """Start an engine, and stop it at the end; work that has not begun by then is given up.
 
     ``on``: ``local``, or the address of a Dask scheduler: ``dask://host:port`` on this computer,
@@ -255,21 +255,21 @@ def engine(on: str = "local", workers: int | None = None) -> Iterator[Engine]:
 
 
 @contextmanager
-def _local(workers: int) -> Iterator[Engine]:
+def _local(workers: int) -> Iterator[_Engine]:
     if workers == 1:
-        yield Engine(_InLine(), 1)
+        yield _Engine(_InLine(), 1)
         return
     # Not forked: a copy of a process with threads may hold a lock that nobody opens again.
     spawn = multiprocessing.get_context("spawn")
     pool = ProcessPoolExecutor(workers, mp_context=spawn, initializer=end_with, initargs=(os.getpid(),))
     try:
-        yield Engine(pool, 2 * workers)
+        yield _Engine(pool, 2 * workers)
     finally:
         pool.shutdown(cancel_futures=True)
 
 
 @contextmanager
-def _dask(address: str) -> Iterator[Engine]:
+def _dask(address: str) -> Iterator[_Engine]:
     from distributed import Client
 
     # What it logs of a lost connection is said by the error that we raise.
@@ -294,4 +294,4 @@ def _dask(address: str) -> Iterator[Engine]:
                 return 0
 
         # Not pure: a result is asked for again only when it is wanted again.
-        yield Engine(client.get_executor(pure=False), 2 * workers, working)
+        yield _Engine(client.get_executor(pure=False), 2 * workers, working)

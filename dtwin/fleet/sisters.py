@@ -121,7 +121,7 @@ class _Compared:
     differs: _Flags
 
 
-def compared(values: Floats, errors: Floats, many: int = 1) -> _Compared:
+def _compared(values: Floats, errors: Floats, many: int = 1) -> _Compared:
     """Compare each machine with its sisters: the prior is made without it, and without those that differ already.
 
     ``values``, ``errors``, shape (n,): sizes that the machines' own runs tell, and standard uncertainties.
@@ -232,7 +232,7 @@ _Row = tuple[str, str, float, float]
 
 def _size(key: _Key, rows: Sequence[_Row], many: int) -> _SisterSize:
     values, errors = np.array([row[2] for row in rows]), np.array([row[3] for row in rows]) / 2.0
-    comparison = compared(values, errors, many)
+    comparison = _compared(values, errors, many)
     mean, _, between = _pooled(values[~comparison.differs], errors[~comparison.differs])
     of_machine = tuple(
         _Sister(

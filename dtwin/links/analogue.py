@@ -23,11 +23,11 @@ from dtwin.links.opened import OpenAndClose
 from dtwin.links.serial_line import Frame, SerialLink
 
 AXES = ("x", "y", "z")
-BAUD = 250_000
+_BAUD = 250_000
 FULL_SCALE_V = 10.0
 _CODES = 1 << 16
 TRAVEL_UM = 125.0
-Output = Literal["dac", "pwm"]
+_Output = Literal["dac", "pwm"]
 _Floats = NDArray[np.float64]
 _Codes = tuple[int, int, int]
 
@@ -35,7 +35,7 @@ _STATUS, _SET, _ENGAGE, _RELEASE, _NEUTRAL = range(5)
 _REQUEST = struct.Struct("<B3H")
 _ANSWER = struct.Struct("<BB3HHH")
 _ENGAGED, _TRIPPED, _PWM, _READ_BACK_WRONG, _NOT_ENGAGED, _STALE, _UNKNOWN = (1 << bit for bit in range(7))
-_MODES: dict[Output, int] = {"dac": 0, "pwm": 1}
+_MODES: dict[_Output, int] = {"dac": 0, "pwm": 1}
 # A board of this kind restarts when its port is opened, and its boot loader listens first.
 _WAKE_S = 4.0
 _TRIES = 3
@@ -122,10 +122,10 @@ class AnalogueOutput(OpenAndClose):
         port: str,
         calibration: Sequence[AxisCalibration] = (AxisCalibration(),) * 3,
         *,
-        output: Output = "dac",
+        output: _Output = "dac",
         watchdog_ms: int = 20,
         in_flight: int = 4,
-        baud: int = BAUD,
+        baud: int = _BAUD,
         timeout_s: float = 0.25,
     ) -> None:
         if len(calibration) != len(AXES) or not 2 <= watchdog_ms <= 1000:
@@ -136,7 +136,7 @@ class AnalogueOutput(OpenAndClose):
                 allowed="3 axes, watchdog 2 to 1000 ms",
             )
         self.calibration = tuple(calibration)
-        self.output: Output = output
+        self.output: _Output = output
         self.watchdog_ms = watchdog_ms
         # A board that is left unfed goes neutral after the watchdog: until then silence is no fault.
         patience_s = max(timeout_s, watchdog_ms / 1000.0)
@@ -303,7 +303,7 @@ def _eight_bits(codes: _Codes) -> _Codes:
     return x, y, z
 
 
-def step_um(calibration: AxisCalibration, output: Output) -> float:
+def _step_um(calibration: AxisCalibration, output: _Output) -> float:
     """Return the smallest change of the correction that an output can make."""
     steps = _CODES if output == "dac" else _PWM_STEPS
     return abs(calibration.um_per_v) * FULL_SCALE_V / steps

@@ -17,7 +17,7 @@ from dtwin.errors import GateRefusal, InputError
 from dtwin.links.analogue import AXES, FULL_SCALE_V, AxisCalibration
 from dtwin.units import is_number, shown_number
 
-HEAD = ("axis", "voltage_v", "x_um", "y_um", "z_um")
+_HEAD = ("axis", "voltage_v", "x_um", "y_um", "z_um")
 _LEVELS = 3
 # Straightness of the line, and what another axis may move, as shares of the span.
 _MOST_BENT = 0.03
@@ -27,7 +27,7 @@ _Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class AxisFit:
+class _AxisFit:
     """A line through what was measured on one axis.
 
     ``um_per_v``, ``neutral_v``: slope, and the voltage without displacement.
@@ -63,15 +63,15 @@ def read_points(path: Path) -> dict[str, tuple[_Floats, _Floats]]:
             raise ValueError("no plain file")
         with path.open(newline="", encoding="utf-8-sig") as file:
             reader = csv.DictReader(file)
-            if tuple(reader.fieldnames or ()) != HEAD:
-                raise _bad(path, "columns", ",".join(reader.fieldnames or ()), ",".join(HEAD))
+            if tuple(reader.fieldnames or ()) != _HEAD:
+                raise _bad(path, "columns", ",".join(reader.fieldnames or ()), ",".join(_HEAD))
             for number, row in enumerate(reader, start=2):
                 # Of 1,5 commas make two cells, and all that follows would be of the next column.
                 if None in row:
                     raise _bad(path, f"line {number}", "more cells than columns", "decimal points, a cell for each")
                 if row["axis"] not in AXES:
                     raise _bad(path, f"line {number}, axis", str(row["axis"]), ", ".join(AXES))
-                values = [float(row[name] or "nan") for name in HEAD[1:]]
+                values = [float(row[name] or "nan") for name in _HEAD[1:]]
                 if not all(math.isfinite(v) for v in values):
                     raise _bad(path, f"line {number}", str(values), "finite numbers")
                 rows.setdefault(row["axis"], []).append(values)
@@ -80,7 +80,7 @@ def read_points(path: Path) -> dict[str, tuple[_Floats, _Floats]]:
     return {axis: (np.array(found)[:, 0], np.array(found)[:, 1:]) for axis, found in rows.items()}
 
 
-def calibrate(points: Mapping[str, tuple[_Floats, _Floats]]) -> dict[str, AxisFit]:
+def calibrate(points: Mapping[str, tuple[_Floats, _Floats]]) -> dict[str, _AxisFit]:
     """Fit a line to every axis.
 
     ``points``, shapes (n,) and (n, 3): voltages, and displacements along x, y and z, by the input that
@@ -100,7 +100,7 @@ def calibrate(points: Mapping[str, tuple[_Floats, _Floats]]) -> dict[str, AxisFi
     return {axis: _line(axis, *points[axis]) for axis in AXES}
 
 
-def save(path: Path, fits: Mapping[str, AxisFit]) -> Path:
+def save(path: Path, fits: Mapping[str, _AxisFit]) -> Path:
     """Write a calibration as JSON and return the path."""
     from dtwin.atomic import write_text
 
@@ -139,7 +139,7 @@ def _no_input(um_per_v: float, neutral_v: float) -> str:
     )
 
 
-def _line(axis: str, volts: _Floats, moved_um: _Floats) -> AxisFit:
+def _line(axis: str, volts: _Floats, moved_um: _Floats) -> _AxisFit:
     if len(np.unique(np.round(volts, 3))) < _LEVELS:
         raise _refused(axis, "too few voltages to see whether the answer is a line", len(volts))
     design = np.column_stack([volts, np.ones_like(volts)])
@@ -164,7 +164,7 @@ def _line(axis: str, volts: _Floats, moved_um: _Floats) -> AxisFit:
         raise _refused(axis, f"this input also moves {worst}", f"{100 * cross[worst]:z.0f} %")
     covariance = noise**2 * np.linalg.inv(design.T @ design)
     gradient = np.array([-neutral / um_per_v, -1.0 / um_per_v])
-    return AxisFit(
+    return _AxisFit(
         um_per_v=um_per_v,
         neutral_v=neutral,
         um_per_v_uncertainty=2.0 * float(np.sqrt(covariance[0, 0])),
@@ -194,7 +194,7 @@ def _bad(path: Path, where: str, got: str, allowed: str) -> InputError:
     )
 
 
-def calibration_rows(fits: Mapping[str, AxisFit]) -> Sequence[tuple[str, ...]]:
+def calibration_rows(fits: Mapping[str, _AxisFit]) -> Sequence[tuple[str, ...]]:
     """Return rows for a table: axis, slope, neutral, noise, cross-talk."""
     return [
         (

@@ -18,7 +18,7 @@ def build_firmware(out: Path, baud: int = 250_000) -> Path:
     ``baud``: of its serial port; 250000, 500000 and 1000000 are exact at 16 MHz.
     Raises ``MissingPart`` when avr-gcc is not here or does not compile it.
     """
-    return compiled(
+    return _compiled(
         [
             "avr-gcc",
             "-mmcu=atmega328p",
@@ -35,7 +35,7 @@ def build_firmware(out: Path, baud: int = 250_000) -> Path:
     )
 
 
-def compiled(command: Sequence[str], out: Path) -> Path:
+def _compiled(command: Sequence[str], out: Path) -> Path:
     """Run a compiler and return what it wrote.
 
     ``command``: compiler and arguments, without the output.

@@ -33,7 +33,7 @@ class SerialLink(OpenAndClose):
         self.port, self.timeout_s = port, timeout_s
         self._baud, self._payload_size = baud, payload_size
         self._device: Any = None
-        self._reader = FrameReader(payload_size)
+        self._reader = _FrameReader(payload_size)
         self._sequence = 0
 
     @property
@@ -63,7 +63,7 @@ class SerialLink(OpenAndClose):
             )
         except (OSError, ValueError) as error:
             raise self._open_error(error) from error
-        self._reader = FrameReader(self._payload_size)
+        self._reader = _FrameReader(self._payload_size)
         self._sequence = 0
 
     def send(self, payload: bytes) -> int:
@@ -72,7 +72,7 @@ class SerialLink(OpenAndClose):
         Raises ``DeviceError`` when the device does not take it in time or is gone.
         """
         sequence = self._sequence
-        data = encode(sequence, payload)
+        data = _encode(sequence, payload)
         with self._faults():
             self._device.write(data)
         self._sequence = (sequence + 1) % SEQUENCES
@@ -110,7 +110,7 @@ class SerialLink(OpenAndClose):
         with self._faults():
             self._device.reset_input_buffer()
         bad = self._reader.bad_frames
-        self._reader = FrameReader(self._payload_size)
+        self._reader = _FrameReader(self._payload_size)
         self._reader.bad_frames = bad
 
     def close(self) -> None:
@@ -184,7 +184,7 @@ def _crc16(data: bytes) -> int:
     return binascii.crc_hqx(data, 0xFFFF)
 
 
-def encode(sequence: int, payload: bytes) -> bytes:
+def _encode(sequence: int, payload: bytes) -> bytes:
     """Return a frame as it goes over the line, its end mark included.
 
     ``sequence``: 0 to 65535.
@@ -201,7 +201,7 @@ def encode(sequence: int, payload: bytes) -> bytes:
     return _stuffed(body + _CRC.pack(_crc16(body))) + b"\x00"
 
 
-class FrameReader:
+class _FrameReader:
     """Finds frames in what arrives, in pieces of any size.
 
     ``payload_size``: size that every payload must have; a frame of another size is garbage.

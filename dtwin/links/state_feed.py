@@ -12,7 +12,7 @@ import math
 from dtwin.links import state as layout
 from dtwin.links._line_socket import LineSocket, StateLines
 
-REQUIRED: tuple[str, ...] = (
+_REQUIRED: tuple[str, ...] = (
     "timestamp_s",
     *(f"target_tcp_{axis}_mm" for axis in "xyz"),
     *(f"target_speed_{axis}_mm_s" for axis in "xyz"),
@@ -53,7 +53,7 @@ class StateFeed(StateLines):
         try:
             given = json.loads(line)
             values = {layout.INDEX[name]: float(value) for name, value in given.items()}
-            whole = all(name in given for name in REQUIRED)
+            whole = all(name in given for name in _REQUIRED)
         except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError):
             values, whole = {}, False
         if not whole or not all(map(math.isfinite, values.values())):

@@ -10,7 +10,7 @@ from dtwin.errors import InputError
 from dtwin.links import ur_registers as registers
 from dtwin.links.state import APPLIED_SEQUENCE
 
-TICK_HZ = 500
+_TICK_HZ = 500
 _LARGEST_UM = 2000.0
 _LONGEST_S = 10.0
 
@@ -99,8 +99,8 @@ def _correction_functions(limit_um: float, slew_um_s: float, watchdog_s: float) 
     """
     if not (
         0.0 < limit_um <= _LARGEST_UM
-        and 0.0 < slew_um_s < _LARGEST_UM * TICK_HZ
-        and 2.0 / TICK_HZ <= watchdog_s <= _LONGEST_S
+        and 0.0 < slew_um_s < _LARGEST_UM * _TICK_HZ
+        and 2.0 / _TICK_HZ <= watchdog_s <= _LONGEST_S
     ):
         raise InputError(
             "these are no limits for a correction",
@@ -109,7 +109,7 @@ def _correction_functions(limit_um: float, slew_um_s: float, watchdog_s: float) 
             allowed=f"up to {_LARGEST_UM:g} um, a positive rate, a watchdog of 2 ticks to {_LONGEST_S:g} s",
         )
     return _FUNCTIONS.format(
-        limit=float(limit_um), step=float(slew_um_s / TICK_HZ), watchdog=round(watchdog_s * TICK_HZ)
+        limit=float(limit_um), step=float(slew_um_s / _TICK_HZ), watchdog=round(watchdog_s * _TICK_HZ)
     )
 
 
@@ -124,7 +124,7 @@ def correction_program(limit_um: float = 500.0, slew_um_s: float = 20_000.0, wat
     functions = _correction_functions(limit_um, slew_um_s, watchdog_s)
     thread = _THREAD.format(
         limit_m=limit_um / 1e6,
-        watchdog=round(watchdog_s * TICK_HZ),
+        watchdog=round(watchdog_s * _TICK_HZ),
         sequence_in=registers.INPUT_SEQUENCE,
         x_in=registers.INPUT_OFFSET_X,
         y_in=registers.INPUT_OFFSET_X + 1,

@@ -69,7 +69,7 @@ class VirtualHexapod:
         """
         condition = condition.standard()
         _require_reach(condition)
-        angle = path_angle_rad(condition, self.parameters)
+        angle = _path_angle_rad(condition, self.parameters)
         tool = self.tool_mm(condition, angle)
         key = zlib.crc32(repr((condition, setup)).encode())
         rng = np.random.default_rng([self.seed, 3, key, repeat])
@@ -146,7 +146,7 @@ class VirtualHexapod:
         return np.asarray(np.linalg.inv(rows), dtype=np.float64)
 
 
-def path_angle_rad(condition: CircleCondition, parameters: HexapodParameters) -> Floats:
+def _path_angle_rad(condition: CircleCondition, parameters: HexapodParameters) -> Floats:
     """Return the commanded path angle at ``_RATE_HZ``: 0 where the turn begins, signed by direction.
 
     ``condition``: in standard form.

@@ -105,7 +105,7 @@ class AnaloguePath:
 
 
 @dataclass(frozen=True)
-class Motion:
+class _Motion:
     """What the slide did, tick by tick at 8 kHz.
 
     ``encoder_um``, ``tool_um``, (n,): slide as its encoder sees it, and tool.
@@ -124,7 +124,7 @@ class TurningSlide:
         self.slide = slide or Slide()
         self._state = np.zeros(6)
 
-    def run(self, command_um: Floats) -> Motion:
+    def run(self, command_um: Floats) -> _Motion:
         """Follow a command, shape (n,), with everything that was added to it; one value for each servo tick."""
         s = self.slide
         constants = np.array(
@@ -144,7 +144,7 @@ class TurningSlide:
         )
         out = np.empty((3, len(command_um)))
         _follow(np.ascontiguousarray(command_um, dtype=np.float64), constants, self._state, out)
-        return Motion(out[0], out[1], out[2])
+        return _Motion(out[0], out[1], out[2])
 
 
 @dataclass(frozen=True)
@@ -171,7 +171,7 @@ class AccelerationChannel:
         self._keep = np.exp(-1.0 / (sensor.drift_s * SERVO_HZ))
         self._wander = np.array([self._keep * sensor.drift_g * rng.normal()])
 
-    def sampled_g(self, motion: Motion, every: int) -> Floats:
+    def sampled_g(self, motion: _Motion, every: int) -> Floats:
         """Return what is sampled at every ``every``-th servo tick in g, shape (n // every,)."""
         from scipy.signal import lfilter
 

@@ -135,7 +135,7 @@ def residual_um(angle_deg: Floats, deviation_um: Floats, radius_mm: float, circl
     return _centred_um(angle_deg, deviation_um, radius_mm, circle) - circle.radius_change_um
 
 
-def minimum_zone_um(angle_deg: Floats, deviation_um: Floats) -> tuple[float, float, float]:
+def _minimum_zone_um(angle_deg: Floats, deviation_um: Floats) -> tuple[float, float, float]:
     """Return width and centre of the narrowest ring that holds every sample.
 
     Solved as a linear programme, which is exact to second order of the eccentricity.
@@ -205,7 +205,7 @@ def circular_figures(angle_deg: Floats, deviation_um: Floats, radius_mm: float) 
     return CircularFigures(
         circle=circle,
         circular_deviation_um=float(np.ptp(centred)),
-        circular_deviation_mz_um=minimum_zone_um(angle_deg, rest)[0],
+        circular_deviation_mz_um=_minimum_zone_um(angle_deg, rest)[0],
         radial_deviation_max_um=float(centred.max()),
         radial_deviation_min_um=float(centred.min()),
         rms_um=float(np.sqrt(np.average(rest**2, weights=shares))),

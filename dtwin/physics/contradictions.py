@@ -26,7 +26,7 @@ _HIDDEN = 0.5
 # No law says what an effect does better than to this share of it.
 _INEXACT = 0.02
 
-What = Literal["change", "mistake", "change or mistake"]
+_What = Literal["change", "mistake", "change or mistake"]
 _Side = frozenset[int]
 
 
@@ -56,7 +56,7 @@ class Contradiction:
     k2: float
     p_value: float
     since: str
-    what: What
+    what: _What
     rivals: tuple[str, ...] = ()
     missed: float = 0.0
 
@@ -352,7 +352,7 @@ def _leaned_on(term: int, mine: _Side, pool: Pool) -> _Side:
     return mine.union(*(_with_term(pool, mate) for mate in mates))
 
 
-def since_when(side: _Side, rest: _Side, started: Sequence[str]) -> tuple[str, What]:
+def since_when(side: _Side, rest: _Side, started: Sequence[str]) -> tuple[str, _What]:
     """Return the first day with another value, and whether it stayed."""
     mine, theirs = sorted(started[c] for c in side), sorted(started[c] for c in rest)
     if not mine[0] or not theirs[0]:

@@ -45,7 +45,7 @@ class MachineTest:
 
 
 @dataclass(frozen=True)
-class Size:
+class _Size:
     """Size of a cause in one test.
 
     ``label``: the effect that stands for it there.
@@ -77,7 +77,7 @@ class Shared:
     cause: str
     axis: str
     unit: str
-    sizes: tuple[Size, ...]
+    sizes: tuple[_Size, ...]
     value: float
     uncertainty: float
     apart: tuple[tuple[str, str, float, float], ...]
@@ -100,8 +100,8 @@ class _Judged:
 
     label: str
     said: _Said
-    here: Size
-    there: Size
+    here: _Size
+    there: _Size
 
     def as_dict(self) -> dict[str, Any]:
         """Return a JSON-ready mapping."""
@@ -109,7 +109,7 @@ class _Judged:
 
 
 @dataclass(frozen=True)
-class Settled:
+class _Settled:
     """A group of one test that another test judges.
 
     ``group``: what the test alone could not tell apart.
@@ -137,7 +137,7 @@ class Joint:
     """What the tests of a machine say together."""
 
     shared: tuple[Shared, ...]
-    settled: tuple[Settled, ...]
+    settled: tuple[_Settled, ...]
 
     def as_dict(self) -> dict[str, Any]:
         """Return a JSON-ready mapping."""
@@ -175,7 +175,7 @@ class _Measured:
         self._unclear = {label for group in self.groups if len(group) > 1 for label in group}
         self._fitted: dict[tuple[str, ...], dict[str, list[Estimate]]] = {}
 
-    def size(self, label: str, group: Sequence[str] = (), mates: Sequence[str] = ()) -> Size | None:
+    def size(self, label: str, group: Sequence[str] = (), mates: Sequence[str] = ()) -> _Size | None:
         """Return the size of an effect beside what was found; None where it cannot be told.
 
         ``group``: what it stands in place of, together with its ``mates``.
@@ -186,7 +186,7 @@ class _Measured:
         if not estimates or not all(e.identifiable and np.isfinite(e.uncertainty) for e in estimates):
             return None
         value, uncertainty = _length(estimates)
-        return Size(self.test.campaign, self.test.started, label, value, uncertainty)
+        return _Size(self.test.campaign, self.test.started, label, value, uncertainty)
 
     def causes(self) -> list[_Cause]:
         """Return the causes that were found alone."""
@@ -199,7 +199,7 @@ class _Measured:
         cause = self._library[name].cause
         return (cause, axis) if cause else None
 
-    def seen(self, cause: _Cause) -> Size | None:
+    def seen(self, cause: _Cause) -> _Size | None:
         """Return the size of a cause here, zero within its uncertainty where it was not found; None when it hides."""
         for name, effect in self._library.items():
             if effect.cause != cause[0] or self.test.obs.grid.kind not in effect.kinds:
@@ -244,7 +244,7 @@ def _length(estimates: Sequence[Estimate]) -> tuple[float, float]:
     return length, float(np.sqrt(((values * widths) ** 2).sum()) / max(length, 1e-12))
 
 
-def _elsewhere(cause: _Cause, others: Iterable[_Measured]) -> Size | None:
+def _elsewhere(cause: _Cause, others: Iterable[_Measured]) -> _Size | None:
     """Return the size of a cause in the other tests that is known best; of a plane, from those of its axes."""
     others = list(others)
     seen = [size for one in others if (size := one.seen(cause)) is not None]
@@ -256,9 +256,9 @@ def _elsewhere(cause: _Cause, others: Iterable[_Measured]) -> Size | None:
     return min(seen, key=lambda size: size.uncertainty, default=None)
 
 
-def _sum(first: Size, second: Size, sign: float = 1.0) -> Size:
+def _sum(first: _Size, second: _Size, sign: float = 1.0) -> _Size:
     both = dict.fromkeys((first.campaign, second.campaign))
-    return Size(
+    return _Size(
         ", ".join(both),
         max(first.started, second.started),
         f"{first.label} {'+' if sign > 0.0 else '-'} {second.label}",
@@ -267,16 +267,16 @@ def _sum(first: Size, second: Size, sign: float = 1.0) -> Size:
     )
 
 
-def _differs(first: Size, second: Size) -> bool:
+def _differs(first: _Size, second: _Size) -> bool:
     standard = np.hypot(first.uncertainty, second.uncertainty) / _COVERAGE_FACTOR
     return bool(abs(first.value - second.value) > _APART * standard)
 
 
-def _is_there(size: Size) -> bool:
+def _is_there(size: _Size) -> bool:
     return abs(size.value) > _APART / _COVERAGE_FACTOR * size.uncertainty
 
 
-def _settled(one: _Measured, group: tuple[str, ...], measured: Sequence[_Measured]) -> Settled | None:
+def _settled(one: _Measured, group: tuple[str, ...], measured: Sequence[_Measured]) -> _Settled | None:
     """Judge the names of a group by the other tests; None when none of them sees any."""
     others = [other for other in measured if other is not one]
     judged: list[_Judged] = []
@@ -301,10 +301,10 @@ def _settled(one: _Measured, group: tuple[str, ...], measured: Sequence[_Measure
         fallen = [label for label in group if (mates := _mates(label, group)) and ruled_out.issuperset(mates)]
         ruled_out |= {label for label in fallen if _is_weak(one.size(label, group), label, group)}
     left = agreed or tuple(label for label in group if label not in ruled_out)
-    return Settled(one.test.campaign, group, tuple(judged), left)
+    return _Settled(one.test.campaign, group, tuple(judged), left)
 
 
-def _absent_in(label: str, group: tuple[str, ...], one: _Measured, others: Iterable[_Measured]) -> Size | None:
+def _absent_in(label: str, group: tuple[str, ...], one: _Measured, others: Iterable[_Measured]) -> _Size | None:
     """Return the size of an effect, zero within its uncertainty, in a test of the kind that names another one of the group alone.
 
     None where no such test has other conditions: what one test cannot tell, another one of the same conditions cannot either.
@@ -316,7 +316,7 @@ def _absent_in(label: str, group: tuple[str, ...], one: _Measured, others: Itera
     return min(sizes, key=lambda size: size.uncertainty, default=None)
 
 
-def _is_weak(here: Size | None, label: str, group: tuple[str, ...]) -> bool:
+def _is_weak(here: _Size | None, label: str, group: tuple[str, ...]) -> bool:
     """Tell whether an effect is no cause alone, and may be one with the same on other axes; ``here``: its size alone."""
     return bool(_mates(label, group)) and (here is None or not _is_there(here))
 
@@ -327,7 +327,7 @@ def _mates(label: str, group: tuple[str, ...]) -> list[str]:
     return [other for other in group if axis and other != label and other.startswith(f"{name} ")]
 
 
-def _said(here: Size, there: Size) -> _Said | None:
+def _said(here: _Size, there: _Size) -> _Said | None:
     """Return what the size of a cause in other tests says of it; None when it is neither seen there nor ruled out."""
     if not _differs(here, there):
         if _is_there(there):
@@ -337,7 +337,7 @@ def _said(here: Size, there: Size) -> _Said | None:
     return "is a part" if part else "refuted"
 
 
-def _odds_of_absent(here: Size, there: Size) -> float:
+def _odds_of_absent(here: _Size, there: _Size) -> float:
     """Return how many times likelier what another test sees is without an effect than with the size that it must have."""
     absent = (there.uncertainty / _COVERAGE_FACTOR) ** 2
     present = absent + (here.uncertainty / _COVERAGE_FACTOR) ** 2
@@ -366,13 +366,13 @@ def _following(measured: Sequence[_Measured]) -> list[Shared]:
     """Return the axes that no test tells alone, of whose cause a difference was found and the other axis is known."""
     alone = dict.fromkeys(cause for one in measured for cause in one.causes())
     differences = [cause for cause in alone if cause[1] in AXES_OF]
-    known: dict[_Cause, Size] = {}
+    known: dict[_Cause, _Size] = {}
     for name, plane in differences:
         for axis in AXES_OF[plane]:
             size = _elsewhere((name, axis), measured)
             if size is not None:
                 known[name, axis] = size
-    out: dict[_Cause, Size] = {}
+    out: dict[_Cause, _Size] = {}
     for name, plane in differences * len(AXES_OF):
         first, second = ((name, axis) for axis in AXES_OF[plane])
         between = _elsewhere((name, plane), measured)
@@ -383,7 +383,7 @@ def _following(measured: Sequence[_Measured]) -> list[Shared]:
     return [_together(cause, measured[0].unit(cause), [out[cause]]) for cause in out if _is_there(out[cause])]
 
 
-def _together(cause: _Cause, unit: str, sizes: Sequence[Size]) -> Shared:
+def _together(cause: _Cause, unit: str, sizes: Sequence[_Size]) -> Shared:
     apart = tuple(
         (a.campaign, b.campaign, b.value - a.value, float(np.hypot(a.uncertainty, b.uncertainty)))
         for a, b in combinations(sizes, 2)

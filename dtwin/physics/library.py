@@ -19,14 +19,14 @@ from dtwin.physics.learned import PREFIX, learned_effect
 from dtwin.physics.state import has_joints
 from dtwin.schema import require_name
 
-ENTRY_POINTS = "dtwin.effects"
+_ENTRY_POINTS = "dtwin.effects"
 _N_JOINTS = 6
 
 
 @cache
 def _of_others() -> tuple[EntryPoint, ...]:
     """Return effects of other packages; to look through all of them takes four times as long as all else that a library does."""
-    return tuple(entry_points(group=ENTRY_POINTS))
+    return tuple(entry_points(group=_ENTRY_POINTS))
 
 
 class Library(Mapping[str, Effect]):

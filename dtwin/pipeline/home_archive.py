@@ -26,7 +26,7 @@ from dtwin.lake.store import Lake
 from dtwin.pipeline.home_check import database_fault
 from dtwin.progress import Progress, silent
 
-MANIFEST = "dtwin-home.json"
+_MANIFEST = "dtwin-home.json"
 # Made again when missing, of one computer or one start alone, or a secret of its own servers.
 _LEFT_OUT = (HOME_FILE, "logs", "reduced", "locks", "servers.json", "prefect-auth", "shared.json")
 _SQLITE = b"SQLite format 3\x00"
@@ -83,7 +83,7 @@ def backup(home: Home, out: Path, progress: Progress = silent) -> _Archived:
                 "made": datetime.now(UTC).isoformat(timespec="seconds"),
             }
             text = json.dumps(about | {"files": entries}, indent=0).encode()
-            archive.addfile(_head(MANIFEST, len(text), 0.0), BytesIO(text))
+            archive.addfile(_head(_MANIFEST, len(text), 0.0), BytesIO(text))
     return _Archived(out, len(entries), sum(size for size, _ in entries.values()))
 
 
@@ -224,7 +224,7 @@ def _extracted(archive: Path, into: Path, progress: Progress) -> Mapping[str, An
                 held = members.extractfile(member) if member.isreg() and not member.issparse() else None
                 if held is None:
                     raise _damaged(archive, member.name, "a regular file")
-                if member.name == MANIFEST:
+                if member.name == _MANIFEST:
                     about = _manifest(archive, held.read(_MOST_MANIFEST))
                     continue
                 hashes[member.name] = _copied(held, _place(archive, into, member.name))
@@ -273,7 +273,7 @@ def _manifest(archive: Path, text: bytes) -> Mapping[str, Any]:
     except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
         good = False
     if not good:
-        raise _damaged(archive, MANIFEST, "a manifest")
+        raise _damaged(archive, _MANIFEST, "a manifest")
     return dict(about)
 
 

@@ -43,7 +43,7 @@ def _no_surroundings(machine: str) -> Variation | None:
     return None
 
 
-def sheet_of(
+def _sheet_of(
     kind: Kind,
     campaign: Campaign,
     runs: Sequence[Run],
@@ -123,7 +123,7 @@ def campaign_sheet(
     kind.require("sheet")
     runs = (lake.load(row, signals=False) for row in lake.runs(name))
     kept = [without_samples(replace(run, findings=tuple(_findings_of(run))), kind.sheet_columns) for run in runs]
-    return sheet_of(kind, campaign, kept, limits, variation)
+    return _sheet_of(kind, campaign, kept, limits, variation)
 
 
 def _checked(
@@ -166,7 +166,7 @@ def _checked(
     sheet = {}
     if kind.offers("sheet"):
         machine = campaign.machine
-        sheet = {"sheet": sheet_of(kind, campaign, light, tolerances(machine), surroundings(machine))}
+        sheet = {"sheet": _sheet_of(kind, campaign, light, tolerances(machine), surroundings(machine))}
     return {
         **kind.campaign_figures(of_one_way(light), progress),
         **sheet,

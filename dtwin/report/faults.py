@@ -99,10 +99,10 @@ def _size_in(twin: Twin, term: Term) -> str:
     """Return the size of an effect of a twin; of what campaigns do not share, such as the drift of a day, that of each."""
     told = told_of(twin, term)
     if sizes_of(told) or not isinstance(twin, SeveralTwin):
-        return size_of(told)
+        return _size_of(told)
     own = [(part, t) for part in twin.parts for t in part.terms if key_of(t) == key_of(term)]
-    sizes = [f"{size_of(mine)} in {part.campaign}" for part, t in own if sizes_of(mine := told_of(part, t))]
-    return "; ".join(sizes) or size_of(told)
+    sizes = [f"{_size_of(mine)} in {part.campaign}" for part, t in own if sizes_of(mine := told_of(part, t))]
+    return "; ".join(sizes) or _size_of(told)
 
 
 def _alike(twin: Twin, term: Term) -> list[tuple[str, str]]:
@@ -191,7 +191,7 @@ def _fault(effect: Effect, axis: str, estimates: Sequence[Estimate]) -> _Fault:
         axis,
         effect.group,
         _title(effect, axis),
-        size_of(estimates),
+        _size_of(estimates),
         effect.looks_like,
         effect.remedy,
         picture,
@@ -202,7 +202,7 @@ def _title(effect: Effect, axis: str) -> str:
     return f"{effect.title}, {axis}" if axis else effect.title
 
 
-def size_of(estimates: Sequence[Estimate]) -> str:
+def _size_of(estimates: Sequence[Estimate]) -> str:
     """Return the size of an effect with k = 2.
 
     Cosines and sines of waves are told as one amplitude: the root of the sum of their squares, its uncertainty
@@ -217,7 +217,7 @@ def size_of(estimates: Sequence[Estimate]) -> str:
 
 
 def sizes_of(estimates: Sequence[Estimate]) -> list[tuple[str, float, float, str]]:
-    """Return name, value, uncertainty (k = 2) and unit of what the runs tell of an effect, waves as ``size_of`` says."""
+    """Return name, value, uncertainty (k = 2) and unit of what the runs tell of an effect, waves as ``_size_of`` says."""
     told = [e for e in estimates if e.identifiable]
     waves = [e for e in told if e.name.startswith(("cosine", "sine", "half_wave"))]
     sizes = [(shown_parameter(e.name), e.value, e.uncertainty, e.unit) for e in told if e not in waves]

@@ -163,12 +163,12 @@ class Bundle:
     def to_dict(self) -> dict[str, Any]:
         """Return the JSON-ready content with the checksum over it."""
         body = self.body()
-        return body | {"sha256": checksum(body)}
+        return body | {"sha256": _checksum(body)}
 
     @property
     def sha256(self) -> str:
         """Checksum of the content."""
-        return checksum(self.body())
+        return _checksum(self.body())
 
     @property
     def model_sha256(self) -> str:
@@ -177,7 +177,7 @@ class Bundle:
         It stays the same when a version is put on trial and when it is promoted.
         """
         body = self.body()
-        return checksum({name: body[name] for name in body if name not in _OF_THE_VERSION})
+        return _checksum({name: body[name] for name in body if name not in _OF_THE_VERSION})
 
     @classmethod
     def from_dict(cls, data: object) -> Bundle:
@@ -199,7 +199,7 @@ class Bundle:
         told = tuple(name for name in ("corrects", "band") if name in data)
         fields = only_fields(data, (*_BODY_FIELDS, *told, "sha256"), "bundle")
         body = {k: v for k, v in fields.items() if k != "sha256"}
-        if fields["sha256"] != checksum(body):
+        if fields["sha256"] != _checksum(body):
             raise InputError(
                 "the bundle was changed after it was written",
                 code="bundle.checksum",
@@ -249,7 +249,7 @@ _BODY_FIELDS = (
 _OF_THE_VERSION = ("model_version", "provenance")
 
 
-def checksum(body: Mapping[str, Any]) -> str:
+def _checksum(body: Mapping[str, Any]) -> str:
     """Return the SHA-256 of the canonical JSON of a bundle's content."""
     try:
         plain = json.dumps(body, sort_keys=True, separators=(",", ":"), allow_nan=False)

@@ -157,7 +157,7 @@ class Decision:
         if self._uses_window:
             n = self._kernel.n_samples
             self._kernel.compute(self._samples.reshape(-1), 0, n, self._values, self._codes)
-            saturated_kernel(self._samples[0])
+            _saturated_kernel(self._samples[0])
             self.compiled.window(self._features)
         uses, self._uses_window = self._uses_window, False
         stages, state = np.zeros(6, dtype=np.int64), layout.empty_state()
@@ -270,7 +270,7 @@ class Decision:
             # A dead or broken channel must stop the correction, not feed it zeros.
             channel = self._channel[k]
             wrong = _TROUBLE[self._codes[channel]]
-            if not wrong and saturated_kernel(self._samples[channel]) == SATURATED:
+            if not wrong and _saturated_kernel(self._samples[channel]) == SATURATED:
                 wrong = "saturated"
             if wrong:
                 self._features[k] = np.nan
@@ -280,7 +280,7 @@ class Decision:
 
 
 @compiled
-def saturated_kernel(samples: Floats) -> int:
+def _saturated_kernel(samples: Floats) -> int:
     """Return SATURATED when a signal stands at its own highest or lowest value too often.
 
     Neither noise nor a sine of a hundred steps or more has a twentieth of its samples at exactly

@@ -35,7 +35,7 @@ _EVERY_S, _PATIENCE_S, _LONGEST_S, _POLITE = 5.0, 10.0, 60.0, 10
 _MAX_NOTE = 10_000
 
 
-def pull(url: str, machine: str, home: Home) -> bool:
+def _pull(url: str, machine: str, home: Home) -> bool:
     """Fetch the bundles and pointers of a machine, put them in force, and return whether anything is new.
 
     Raises ``InputError`` when address or key are not usable.
@@ -64,7 +64,7 @@ def pulled(url: str, machine: str, home: Home, announce: Callable[[str], None]) 
     Raises ``DtwinError`` when nothing can be fetched and nothing was before.
     """
     try:
-        pull(url, machine, home)
+        _pull(url, machine, home)
         announce(f"bundles of {machine} are those of {url}")
     except DtwinError as error:
         since = _last(machine, home)
@@ -166,7 +166,7 @@ def _main(url: str, machine: str, root: str) -> None:
     said = ""
     while not select.select([sys.stdin], [], [], _EVERY_S)[0]:
         try:
-            pull(url, machine, Home(Path(root)))
+            _pull(url, machine, Home(Path(root)))
             text = ""
         except DtwinError as error:
             text = error.render()

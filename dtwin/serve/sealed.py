@@ -21,7 +21,7 @@ from dtwin.serve._fields import only_fields
 from dtwin.serve.bundle_file import json_text, parse_json, read_bytes, write_json
 
 CHAMPION, TRIAL, MACHINE, BARRED = "champion.json", "trial.json", "machine.json", "barred.json"
-SEAL = "seal.json"
+_SEAL = "seal.json"
 SEALED = (CHAMPION, TRIAL, MACHINE, BARRED)
 _LOCK = "seal.lock"
 _MAX_BYTES = 100_000
@@ -33,7 +33,7 @@ _held: ContextVar[frozenset[Path]] = ContextVar("held", default=frozenset())
 
 def is_sealed(folder: Path) -> bool:
     """Tell whether the files of a machine have a seal; before version 0.2 they had none."""
-    return (folder / SEAL).exists()
+    return (folder / _SEAL).exists()
 
 
 def write_sealed(folder: Path, name: str, content: Mapping[str, Any] | None) -> Path:
@@ -77,7 +77,7 @@ def read_sealed(folder: Path, name: str) -> Any:
         if allowed is None:
             if raw is None:
                 return None
-            raise _broken(folder / SEAL, "seal.missing", "the seal of a machine's files is missing")
+            raise _broken(folder / _SEAL, "seal.missing", "the seal of a machine's files is missing")
         if (None if raw is None else hashlib.sha256(raw).hexdigest()) in allowed[name]:
             return None if raw is None else parse_json(raw, path)
         if look + 1 < _LOOKS:
@@ -120,7 +120,7 @@ def _allowed(folder: Path) -> _Allowed | None:
     """Return the checksums that each file may have, the newest last; None without a seal."""
     if not is_sealed(folder):
         return None
-    path = folder / SEAL
+    path = folder / _SEAL
     try:
         fields = only_fields(parse_json(read_bytes(path, _MAX_BYTES), path), SEALED, str(path))
     except InputError as error:
@@ -133,7 +133,7 @@ def _allowed(folder: Path) -> _Allowed | None:
 
 
 def _write_seal(folder: Path, allowed: _Allowed) -> None:
-    write_json(folder / SEAL, allowed)
+    write_json(folder / _SEAL, allowed)
 
 
 def _digest(path: Path) -> str | None:
@@ -155,5 +155,5 @@ def _broken(path: Path, code: str, text: str) -> GateRefusal:
         code=code,
         where=str(path),
         hint=f"put the folder back from a copy; or look whether champion, machine and withdrawn versions "
-        f"are right, remove {SEAL} there, and dtwin promote again; of a home that an earlier version made: dtwin migrate",
+        f"are right, remove {_SEAL} there, and dtwin promote again; of a home that an earlier version made: dtwin migrate",
     )

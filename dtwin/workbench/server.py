@@ -109,7 +109,7 @@ def run(
     threading.Thread(target=_warm, args=(bench,), daemon=True).start()
     config = uvicorn.Config(
         application(bench),
-        http=Connection,
+        http=_Connection,
         log_level="warning",
         access_log=False,
         server_header=False,
@@ -232,7 +232,7 @@ def _unknown(request: Request, error: Exception) -> Response:
     return Response(f"{error.detail}\n", error.status_code, media_type="text/plain")
 
 
-class Connection(H11Protocol):
+class _Connection(H11Protocol):
     """A connection that is closed when the head of its next request is not whole in time, nothing more of its body comes, or nothing of an answer is taken.
 
     Of very many, one that waits for a request gives way to each new one. The server itself limits only how long nothing at all comes after an answer.
@@ -245,7 +245,7 @@ class Connection(H11Protocol):
         """Wait for the first request."""
         super().connection_made(transport)
         if len(self.connections) > _MOST_OPEN:
-            waiting = (c for c in self.connections if isinstance(c, Connection) and c._until is not None)
+            waiting = (c for c in self.connections if isinstance(c, _Connection) and c._until is not None)
             closed = next(waiting, self)
             closed._wait_no_more()
             closed.transport.abort()

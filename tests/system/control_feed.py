@@ -14,7 +14,7 @@ import tty
 from types import TracebackType
 from typing import Self
 
-from dtwin.links.state_feed import REQUIRED
+from dtwin.links.state_feed import _REQUIRED
 
 RATE_HZ = 200.0
 RADIUS_MM = 100.0
@@ -73,7 +73,7 @@ class ControlFeed:
     def state(self, now_s: float) -> dict[str, float]:
         speed = FEED_MM_MIN / 60.0
         angle = (now_s * speed / RADIUS_MM) % (2.0 * math.pi)
-        state = dict.fromkeys(REQUIRED, 0.0) | {
+        state = dict.fromkeys(_REQUIRED, 0.0) | {
             "timestamp_s": now_s,
             "target_tcp_x_mm": RADIUS_MM * math.cos(angle),
             "target_tcp_y_mm": RADIUS_MM * math.sin(angle),

@@ -12,7 +12,7 @@ from shown_commands import blocks, follow, page, run
 from simulated_analogue_board import AnalogueBoard
 
 from dtwin.errors import MissingPart
-from dtwin.links.analogue import AxisCalibration, step_um
+from dtwin.links.analogue import AxisCalibration, _step_um
 
 pytestmark = pytest.mark.system
 PAGE = page("docs/how-to/mill-by-analogue-input.md")
@@ -60,4 +60,4 @@ def test_the_page_is_followed_from_the_compiler_to_a_calibrated_correction(tmp_p
 def test_the_page_states_the_steps_that_the_program_computes() -> None:
     known = AxisCalibration()
     for output, words in (("pwm", "**{:.2f} µm**"), ("dac", "steps of {:.4f} µm")):
-        assert words.format(step_um(known, output)) in PAGE
+        assert words.format(_step_um(known, output)) in PAGE

@@ -19,7 +19,7 @@ from simulated_analogue_board import AnalogueBoard
 from dtwin.config import Home
 from dtwin.config import home as dtwin_home
 from dtwin.links.analogue import AnalogueOutput
-from dtwin.links.analogue_calibration import AxisFit, save
+from dtwin.links.analogue_calibration import _AxisFit, save
 from dtwin.serve.builder import GraphBuilder
 from dtwin.serve.interface import Input, Output, Provenance, SafetyLimits
 
@@ -58,7 +58,7 @@ def home() -> Home:
 @pytest.fixture
 def calibration(tmp_path: Path) -> Path:
     path = tmp_path / "analogue.json"
-    save(path, {axis: AxisFit(UM_PER_V, 5.0, 0.01, 0.001, 0.05, {}, 5) for axis in "xyz"})
+    save(path, {axis: _AxisFit(UM_PER_V, 5.0, 0.01, 0.001, 0.05, {}, 5) for axis in "xyz"})
     return path
 
 

@@ -222,11 +222,11 @@ def test_a_model_with_the_wrong_sign_makes_it_worse_and_is_refused(demo: tuple[H
     registry = Registry(home)
     version = registry.version(MACHINE, "2")
     content = registry.bundle(version)
-    from dtwin.serve.bundle import Bundle, checksum
+    from dtwin.serve.bundle import Bundle, _checksum
 
     body = {k: v for k, v in content.items() if k != "sha256"}
     body["outputs"] = [dict(body["outputs"][0], role="correction")]
-    wrong = Bundle.from_dict(body | {"sha256": checksum(body)})
+    wrong = Bundle.from_dict(body | {"sha256": _checksum(body)})
     measured = measured_circles(wrong, seed=0, tcp_mm=np.array([0.0, 0.0, 158.3]), plan=CIRCLES)
     evidence = measured.evidence(MACHINE, Bundle.from_dict(content).model_sha256)
     assert evidence.conditions[0]["worse"] is True

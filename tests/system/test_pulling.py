@@ -25,7 +25,7 @@ from dtwin.serve import pulling
 from dtwin.serve.barred import bar, barred_why
 from dtwin.serve.delivery import KEY_FILE, MAC, NONCE, delivery, install, make_key
 from dtwin.serve.pointer import clear_trial, resolve
-from dtwin.serve.pulling import pull, pulled
+from dtwin.serve.pulling import _pull, pulled
 from dtwin.workbench._access import Access
 from dtwin.workbench._bench import Bench
 from dtwin.workbench.server import application
@@ -75,24 +75,24 @@ def host(source: Home, tmp_path: Path) -> Home:
 
 
 def test_what_was_promoted_there_is_served_here(source: Home, host: Home, address: str) -> None:
-    assert pull(address, MACHINE, host)
+    assert _pull(address, MACHINE, host)
     found = resolve("latest", MACHINE, host)
     assert (found.version, found.state) == (3, "champion")
     assert found.path.read_bytes() == (source.bundles / MACHINE / "v3.json").read_bytes()
-    assert not pull(address, MACHINE, host)
+    assert not _pull(address, MACHINE, host)
     promote(source, "trial", model_version=4)
     bar(MACHINE, source, 3, "it does harm")
-    assert pull(address, MACHINE, host)
+    assert _pull(address, MACHINE, host)
     assert resolve("trial", MACHINE, host).version == 4
     assert barred_why(MACHINE, host, 3) == "it does harm"
     with pytest.raises(GateRefusal, match="barred"):
         resolve("latest", MACHINE, host)
     clear_trial(MACHINE, source)
-    assert pull(address, MACHINE, host)
+    assert _pull(address, MACHINE, host)
     with pytest.raises(InputError, match="no model on trial"):
         resolve("trial", MACHINE, host)
     with pytest.raises(StoreError, match="delivers nothing"):
-        pull(address, "another", host)
+        _pull(address, "another", host)
 
 
 def test_nobody_without_the_key_gets_anything(source: Home, host: Home, address: str) -> None:
@@ -103,13 +103,13 @@ def test_nobody_without_the_key_gets_anything(source: Home, host: Home, address:
             )
     (host.root / KEY_FILE).write_text("ab" * 32)
     with pytest.raises(StoreError, match="delivers nothing"):
-        pull(address, MACHINE, host)
+        _pull(address, MACHINE, host)
     (host.root / KEY_FILE).chmod(0o644)
     with pytest.raises(InputError, match="not usable"):
-        pull(address, MACHINE, host)
+        _pull(address, MACHINE, host)
     (host.root / KEY_FILE).unlink()
     with pytest.raises(InputError, match="no key"):
-        pull(address, MACHINE, host)
+        _pull(address, MACHINE, host)
     assert not host.bundles.exists()
 
 
@@ -148,7 +148,7 @@ def test_an_answer_that_was_changed_or_is_of_yesterday_is_none(source: Home, hos
         return content, headers
 
     with between(address, recorded) as url:
-        assert pull(url, MACHINE, host)
+        assert _pull(url, MACHINE, host)
     bar(MACHINE, source, 3, "withdrawn")
     lies: dict[str, Lie] = {
         "changed": lambda content, headers: (content.replace(b"withdrawn", b"all right"), headers),
@@ -158,14 +158,14 @@ def test_an_answer_that_was_changed_or_is_of_yesterday_is_none(source: Home, hos
     }
     for lie in lies.values():
         with between(address, lie) as url, pytest.raises(GateRefusal, match="not signed"):
-            pull(url, MACHINE, host)
+            _pull(url, MACHINE, host)
     assert resolve("latest", MACHINE, host).state == "champion"
-    assert pull(address, MACHINE, host)
+    assert _pull(address, MACHINE, host)
     assert barred_why(MACHINE, host, 3) == "withdrawn"
 
 
 def test_what_does_not_hold_is_not_put_in_force(source: Home, host: Home, address: str) -> None:
-    pull(address, MACHINE, host)
+    _pull(address, MACHINE, host)
     before = {path.name: path.read_bytes() for path in (host.bundles / MACHINE).iterdir()}
     good = json.loads(delivery(source, MACHINE))
     other = json.loads(json.dumps(good).replace("24.0", "25.0"))
@@ -200,7 +200,7 @@ def test_a_version_that_is_withdrawn_there_is_released_here_and_a_lost_link_stop
                 assert code != 0
                 assert "the error grew" in out
                 promote(source, model_version=5)
-                pull(url, MACHINE, host)
+                _pull(url, MACHINE, host)
             server = Server(*options, f"--pull={url}", "--duration=2")
             code, out, err = server.end()
             assert code == 0, err
@@ -215,7 +215,7 @@ def test_a_host_that_never_fetched_anything_serves_nothing(host: Home) -> None:
         pytest.fail("it went on")
     for url in ("ftp://h/x", "file:///etc/passwd", "nonsense"):
         with pytest.raises(InputError, match="address"):
-            pull(url, MACHINE, host)
+            _pull(url, MACHINE, host)
 
 
 @pytest.mark.parametrize(
@@ -251,7 +251,7 @@ def test_a_server_that_sends_a_byte_now_and_then_is_given_up(
         timer = threading.Timer(60.0, ended.set)
         timer.start()
         with pytest.raises(StoreError, match="delivers nothing" if "403" in begun else "does not answer"):
-            pull(f"http://127.0.0.1:{server.server_address[1]}", MACHINE, host)
+            _pull(f"http://127.0.0.1:{server.server_address[1]}", MACHINE, host)
         timer.cancel()
         ended.set()
         server.shutdown()

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from dtwin.errors import GateRefusal, InputError
-from dtwin.links.analogue import AxisCalibration, _eight_bits, step_um
-from dtwin.links.analogue_calibration import HEAD, calibrate, load, read_points, save
+from dtwin.links.analogue import AxisCalibration, _eight_bits, _step_um
+from dtwin.links.analogue_calibration import _HEAD, calibrate, load, read_points, save
 
 VOLTS = np.repeat([3.0, 4.0, 5.0, 6.0, 7.0], 3)
 
@@ -84,10 +84,10 @@ def test_a_calibration_comes_back_from_its_file(tmp_path: Path) -> None:
     [
         "",
         "axis,voltage_v\nx,1",
-        f"{','.join(HEAD)}\nw,1,2,3,4",
-        f"{','.join(HEAD)}\nx,nan,1,1,1",
-        f"{','.join(HEAD)}\nx,one,1,1,1",
-        f"{','.join(HEAD)}\nx,1,5,1,1,1",
+        f"{','.join(_HEAD)}\nw,1,2,3,4",
+        f"{','.join(_HEAD)}\nx,nan,1,1,1",
+        f"{','.join(_HEAD)}\nx,one,1,1,1",
+        f"{','.join(_HEAD)}\nx,1,5,1,1,1",
         "x" * 200_000,
     ],
 )
@@ -101,9 +101,9 @@ def test_a_points_file_with_a_mistake_is_refused(tmp_path: Path, text: str) -> N
 def test_codes_round_clamp_and_lose_bits_as_they_must() -> None:
     axis = AxisCalibration()
     assert axis.code(0.0) == 32768
-    assert axis.offset_um(axis.code(12.5)) == pytest.approx(12.5, abs=step_um(axis, "dac") / 2)
+    assert axis.offset_um(axis.code(12.5)) == pytest.approx(12.5, abs=_step_um(axis, "dac") / 2)
     assert axis.code(1e6) == axis.code(125.0) == 65535
     assert axis.code(-1e6) == axis.code(-125.0) == 0
     assert _eight_bits((32768, 65535, 127)) == (32768, 65280, 0)
-    assert step_um(axis, "pwm") == pytest.approx(0.98, abs=0.005)
-    assert step_um(axis, "dac") == pytest.approx(0.0038, abs=0.0001)
+    assert _step_um(axis, "pwm") == pytest.approx(0.98, abs=0.005)
+    assert _step_um(axis, "dac") == pytest.approx(0.0038, abs=0.0001)

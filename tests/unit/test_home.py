@@ -29,7 +29,7 @@ from dtwin.lake.store import Lake
 from dtwin.lifecycle.train import put_on_trial
 from dtwin.machine_record import keep_record, read_record
 from dtwin.people import AUDIT, note
-from dtwin.pipeline.home_archive import MANIFEST, backup, restore
+from dtwin.pipeline.home_archive import _MANIFEST, backup, restore
 from dtwin.pipeline.home_check import check_home, home_parts
 from dtwin.serve.pointer import machine_folder, write_pointer
 from dtwin.train.promotion_books import HISTORY
@@ -218,7 +218,7 @@ def test_a_backup_that_is_not_as_it_was_written_leaves_nothing(lived_in: Home, t
     backup(lived_in, tmp_path / "home.tar")
     with tarfile.open(tmp_path / "home.tar") as archive:
         members = [(m, archive.extractfile(m).read()) for m in archive]  # type: ignore[union-attr]
-    assert members[-1][0].name == MANIFEST
+    assert members[-1][0].name == _MANIFEST
     change(members)
     with tarfile.open(tmp_path / "spoilt.tar", "w") as archive:
         for head, content in members:

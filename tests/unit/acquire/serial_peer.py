@@ -10,7 +10,7 @@ import tty
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from dtwin.links.serial_line import encode
+from dtwin.links.serial_line import _encode
 
 
 class SerialPeer:
@@ -26,7 +26,7 @@ class SerialPeer:
         self._thread: threading.Thread | None = None
 
     def send(self, *values: float, sequence: int) -> None:
-        self.raw(encode(sequence, struct.pack(f"<{len(values)}f", *values)))
+        self.raw(_encode(sequence, struct.pack(f"<{len(values)}f", *values)))
 
     def raw(self, data: bytes) -> None:
         os.write(self.master, data)

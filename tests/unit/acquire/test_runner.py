@@ -12,7 +12,7 @@ import pytest
 
 from dtwin.acquire._recording import Recorder
 from dtwin.acquire.campaign_folder import open_campaign
-from dtwin.acquire.runner import MANIFEST, Bench, run_campaign
+from dtwin.acquire.runner import _MANIFEST, Bench, run_campaign
 from dtwin.acquire.signal_files import read_signals
 from dtwin.acquire.virtual import VirtualCobotBench
 from dtwin.errors import Interrupted, StoreError
@@ -48,7 +48,7 @@ def test_another_plan_does_not_overwrite(tmp_path: Path) -> None:
 def test_damaged_files_are_measured_again(tmp_path: Path) -> None:
     run_campaign(small_plan(), VirtualCobotBench(), tmp_path)
     (tmp_path / "t001.b5r").write_text("damaged")
-    with (tmp_path / MANIFEST).open("a") as handle:
+    with (tmp_path / _MANIFEST).open("a") as handle:
         handle.write('{"test": "t0')
     again = run_campaign(small_plan(), VirtualCobotBench(), tmp_path)
     assert (again.measured, again.kept) == (1, 1)
@@ -105,7 +105,7 @@ def test_a_killed_campaign_continues_and_ends_the_same(tmp_path: Path) -> None:
     child.send_signal(signal.SIGKILL)
     child.wait()
     child.stdout.close()
-    kept = len((tmp_path / "a" / MANIFEST).read_text().splitlines())
+    kept = len((tmp_path / "a" / _MANIFEST).read_text().splitlines())
     assert 3 <= kept < 8
     for target in ("a", "b"):
         run_campaign(_PLAN, VirtualCobotBench(), tmp_path / target)

@@ -15,7 +15,7 @@ from dtwin.acquire import run_recording
 from dtwin.acquire._serial_port import SerialInstrument
 from dtwin.acquire.run_recording import RunRequest, record_run
 from dtwin.errors import DeviceError, InputError
-from dtwin.links.serial_line import FrameReader, SerialLink
+from dtwin.links.serial_line import SerialLink, _FrameReader
 
 COLUMNS = ("force_n", "temperature_c")
 
@@ -140,7 +140,7 @@ def test_frames_go_out_numbered(peer: SerialPeer) -> None:
     with SerialLink(peer.port, 8) as link:
         assert [link.send(b"abc"), link.send(b"\x00de")] == [0, 1]
         frames = []
-        reader = FrameReader(3)
+        reader = _FrameReader(3)
         while len(frames) < 2:
             frames += reader.feed(os.read(peer.master, 100))
         assert [(f.sequence, f.payload) for f in frames] == [(0, b"abc"), (1, b"\x00de")]

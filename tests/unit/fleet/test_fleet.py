@@ -19,7 +19,7 @@ from dtwin.config import Home, home
 from dtwin.errors import InputError, Interrupted, StoreError
 from dtwin.fleet.alerts import fleet_view
 from dtwin.fleet.jobs import DIAGNOSE, DIAGNOSES, TRAIN, Unit
-from dtwin.fleet.run import Engine, run_fleet
+from dtwin.fleet.run import _Engine, run_fleet
 from dtwin.fleet.run import engine as engine_of
 from dtwin.locks import locked
 from dtwin.pipeline.kept import kept_already
@@ -190,7 +190,7 @@ class _Nobody(Executor):
 def test_work_that_nobody_does_any_more_ends(lake: Home, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("dtwin.fleet.run._LOOK_S", 0.01)
     left = iter([1, 1, 0, 0, 0])
-    monkeypatch.setattr("dtwin.fleet.run.engine", lambda *_: nullcontext(Engine(_Nobody(), 2, lambda: next(left))))
+    monkeypatch.setattr("dtwin.fleet.run.engine", lambda *_: nullcontext(_Engine(_Nobody(), 2, lambda: next(left))))
     with pytest.raises(StoreError) as caught:
         run_fleet(lake, ANSWER)
     assert (caught.value.code, next(left, None)) == ("fleet.worker", None)

@@ -16,7 +16,7 @@ from dtwin.config import home
 from dtwin.errors import InputError
 from dtwin.fleet.jobs import DIAGNOSE
 from dtwin.fleet.run import run_fleet
-from dtwin.fleet.sisters import compared
+from dtwin.fleet.sisters import _compared
 from dtwin.lake.store import Lake
 from dtwin.machine_record import keep_record
 
@@ -30,7 +30,7 @@ def test_machines_that_are_alike_help_each_other_and_those_that_are_not_keep_the
         for _ in range(60):
             truth = 5.0 + between * rng.standard_normal(12)
             values = truth + errors * rng.standard_normal(12)
-            found = compared(values, errors, 12)
+            found = _compared(values, errors, 12)
             alone += list(values - truth)
             together += list(found.values - truth)
             covered += list(abs(found.values - truth) <= 2.0 * found.errors)
@@ -46,7 +46,7 @@ def test_the_one_that_differs_is_named_and_keeps_its_size() -> None:
     for _ in range(60):
         values = 5.0 + rng.standard_normal(10)
         values[3] += 12.0
-        found = compared(values, np.full(10, 0.5), 10)
+        found = _compared(values, np.full(10, 0.5), 10)
         named += bool(found.differs[3])
         false += int(found.differs.sum() - found.differs[3])
         if found.differs[3]:
@@ -57,7 +57,7 @@ def test_the_one_that_differs_is_named_and_keeps_its_size() -> None:
 
 def test_two_that_differ_do_not_hide_each_other() -> None:
     values = np.array([5.1, 4.9, 5.0, 5.2, 4.8, 5.05, 4.95, 5.1, 30.0, 24.0])
-    assert list(np.flatnonzero(compared(values, np.full(10, 0.1), 10).differs)) == [8, 9]
+    assert list(np.flatnonzero(_compared(values, np.full(10, 0.1), 10).differs)) == [8, 9]
 
 
 def test_the_command_names_the_machine_that_is_not_like_its_sisters() -> None:

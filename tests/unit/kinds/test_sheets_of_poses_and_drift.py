@@ -20,7 +20,7 @@ from dtwin.kinds.poses._sheet import _scatter_of
 from dtwin.kinds.registry import kind_named
 from dtwin.lake.store import Lake
 from dtwin.pipeline.kept import variation_of
-from dtwin.report.checking import check_source, sheet_of
+from dtwin.report.checking import _sheet_of, check_source
 from dtwin.schema import Campaign, Run, RunMeta
 from dtwin.tolerances import limits_from
 from dtwin.workbench._access import Access
@@ -44,7 +44,7 @@ def log(hours: float, per_hour_um: float, *, noise_um: float = 0.0, test: str = 
 
 
 def test_the_ranges_of_a_steady_drift_are_its_rate_times_the_time() -> None:
-    sheet = sheet_of(
+    sheet = _sheet_of(
         kind_named("drift"), Campaign("c", "m", "drift"), [log(3.0, 6.0)], limits_from({"d": 10.0}, "here")
     )
     found = {c["symbol"]: c["value_um"] for c in sheet["parts"][0]["characteristics"]}
@@ -55,14 +55,14 @@ def test_the_ranges_of_a_steady_drift_are_its_rate_times_the_time() -> None:
 def test_readings_more_than_an_hour_apart_tell_no_range_in_one_hour() -> None:
     run = log(3.0, 6.0, test="environment")
     run.samples["t_s"][:] *= 100.0
-    sheet = sheet_of(kind_named("drift"), Campaign("c", "m", "drift"), [run], {})
+    sheet = _sheet_of(kind_named("drift"), Campaign("c", "m", "drift"), [run], {})
     assert [c["symbol"] for c in sheet["parts"][0]["characteristics"]] == ["d"]
     assert any("no hour holds two readings" in note for note in sheet["notes"])
     assert kind_named("drift").variation([run], "c") is None
 
 
 def of_drift(instrument: dict[str, float], run: Run) -> list[dict[str, Any]]:
-    sheet = sheet_of(kind_named("drift"), Campaign("c", "m", "drift", instrument=instrument), [run], {})
+    sheet = _sheet_of(kind_named("drift"), Campaign("c", "m", "drift", instrument=instrument), [run], {})
     return list(sheet["parts"][0]["characteristics"])
 
 
@@ -136,7 +136,7 @@ def poses(bend_um: float, *, repeats: int = 3, noise_um: float = 5.0, longer: fl
 
 def characteristics(run: Run, **told: float) -> dict[str, dict[str, float]]:
     campaign = Campaign("c", "m", "poses", instrument=told, machine_geometry={"chain": "ur5"})
-    sheet = sheet_of(kind_named("poses"), campaign, [run], {})
+    sheet = _sheet_of(kind_named("poses"), campaign, [run], {})
     return {c["symbol"]: c for c in sheet["parts"][0]["characteristics"]}
 
 
@@ -220,7 +220,7 @@ def true_change_um(target: np.ndarray, creep_um: float) -> float:
 
 def characteristics_of_points(samples: dict[str, np.ndarray]) -> dict[str, dict[str, float]]:
     campaign = Campaign("c", "m", "poses", instrument={"uncertainty_um": 0.0})
-    sheet = sheet_of(kind_named("poses"), campaign, [Run(RunMeta("p", kind="poses"), samples)], {})
+    sheet = _sheet_of(kind_named("poses"), campaign, [Run(RunMeta("p", kind="poses"), samples)], {})
     return {c["symbol"]: c for c in sheet["parts"][0]["characteristics"]}
 
 
@@ -239,7 +239,7 @@ def test_a_pose_that_scatters_more_than_others_has_its_own_uncertainty() -> None
         instrument = {"uncertainty_um": 0.0, "uncertainty_um_per_m": 0.0, "temperature_uncertainty_k": 0.0}
         instrument["expansion_uncertainty_um_per_m_k"] = 0.0
         campaign = Campaign("c", "m", "poses", instrument=instrument)
-        sheet = sheet_of(kind_named("poses"), campaign, [Run(RunMeta("p", kind="poses"), samples)], {})
+        sheet = _sheet_of(kind_named("poses"), campaign, [Run(RunMeta("p", kind="poses"), samples)], {})
         told.append(
             [(c["value_um"], c["expanded_um"]) for c in sheet["parts"][0]["characteristics"] if c["symbol"] == "RP"]
         )
@@ -266,7 +266,7 @@ def test_accuracy_in_the_frame_of_the_robot_is_said(away_mm: float, said: str) -
     samples = {"t_s": np.arange(30.0)}
     samples |= {f"target_{a}_mm": target[:, n] for n, a in enumerate("xyz")}
     samples |= {f"measured_{a}_mm": target[:, n] + away_mm * (a == "x") for n, a in enumerate("xyz")}
-    sheet = sheet_of(kind_named("poses"), Campaign("c", "m", "poses"), [Run(RunMeta("p", kind="poses"), samples)], {})
+    sheet = _sheet_of(kind_named("poses"), Campaign("c", "m", "poses"), [Run(RunMeta("p", kind="poses"), samples)], {})
     (note,) = sheet["notes"]
     assert said in note
     assert said or "as the file" not in note
@@ -275,7 +275,7 @@ def test_accuracy_in_the_frame_of_the_robot_is_said(away_mm: float, said: str) -
 def test_few_readings_of_a_pose_are_said() -> None:
     campaign = Campaign("c", "m", "poses", machine_geometry={"chain": "ur5"})
     none, few, enough = (
-        " ".join(sheet_of(kind_named("poses"), campaign, [poses(0.0, repeats=n)], {})["notes"]) for n in (2, 3, 30)
+        " ".join(_sheet_of(kind_named("poses"), campaign, [poses(0.0, repeats=n)], {})["notes"]) for n in (2, 3, 30)
     )
     assert "RP is not told, for no pose was measured three times; ISO 9283 asks for thirty" in none
     assert "RP is of 3 readings a pose and more; ISO 9283 asks for thirty" in few
@@ -321,7 +321,7 @@ def test_the_page_of_a_campaign_says_where_its_uncertainty_comes_from(tmp_path: 
 def test_the_sheet_of_poses_says_what_frame_and_tool_took_away() -> None:
     (note,) = check_source(ROOT / "data/poses/ur5-random", tolerances=lambda machine: {})["sheet"]["notes"]
     assert "left by the best frame and tool; as the file has its errors, AP is 3379 µm" in note
-    few = sheet_of(kind_named("poses"), Campaign("c", "m", "poses"), [_first(poses(300.0), 15)], {})
+    few = _sheet_of(kind_named("poses"), Campaign("c", "m", "poses"), [_first(poses(300.0), 15)], {})
     assert "5 poses are few for the 9 numbers" in few["notes"][-1]
 
 
@@ -340,7 +340,7 @@ def test_accuracy_that_a_frame_of_few_poses_made_small_is_not_inside() -> None:
     campaign = Campaign("c", "m", "poses")
 
     def sheet(poses: int, limit: float, symbol: str = "AP") -> dict[str, Any]:
-        return sheet_of(kind_named("poses"), campaign, [_cube(poses)], limits_from({symbol: limit}, "m"))
+        return _sheet_of(kind_named("poses"), campaign, [_cube(poses)], limits_from({symbol: limit}, "m"))
 
     few = sheet(5, 5000.0)
     assert few["verdict"] == "cannot say"
@@ -362,7 +362,7 @@ def test_one_pose_tells_its_repeatability_and_no_accuracy() -> None:
     samples = {f"measured_{a}_mm": there[:, i] + 0.3 for i, a in enumerate("xyz")}
     samples |= {f"target_{a}_mm": np.full(30, v) for a, v in zip("xyz", (500.0, 0.0, 400.0), strict=True)}
     run = Run(RunMeta("p1", kind="poses"), {"t_s": np.arange(30.0), **samples})
-    sheet = sheet_of(kind_named("poses"), Campaign("c", "m", "poses"), [run], {})
+    sheet = _sheet_of(kind_named("poses"), Campaign("c", "m", "poses"), [run], {})
     # A frame takes the error of a single pose, and with it how AP changes.
     assert [c["symbol"] for c in sheet["parts"][0]["characteristics"]] == ["RP", "dRP"]
     assert {f.code for f in kind_named("poses").judge_run(run)} == {"poses.repeats"}

@@ -30,9 +30,9 @@ from dtwin.workbench.server import application
 
 POINTS = {
     "dtwin.kinds": [EntryPoint("turntable", "sixth_kind.kind:KIND", "dtwin.kinds")],
-    library.ENTRY_POINTS: [
-        EntryPoint("off_centre", "sixth_kind.effects:OFF_CENTRE", library.ENTRY_POINTS),
-        EntryPoint("worm_error", "sixth_kind.effects:WORM_ERROR", library.ENTRY_POINTS),
+    library._ENTRY_POINTS: [
+        EntryPoint("off_centre", "sixth_kind.effects:OFF_CENTRE", library._ENTRY_POINTS),
+        EntryPoint("worm_error", "sixth_kind.effects:WORM_ERROR", library._ENTRY_POINTS),
     ],
 }
 

@@ -15,7 +15,7 @@ from dtwin.machines.hexapod import (
     VirtualHexapod,
     _HexapodRecording,
     _leg_lengths_kernel,
-    path_angle_rad,
+    _path_angle_rad,
 )
 from dtwin.machines.hexapod_parameters import CENTRE_MM, HexapodParameters
 from dtwin.machines.motion import CircleCondition
@@ -103,7 +103,7 @@ def test_a_bar_reads_the_projected_error_to_second_order(radius_mm: float) -> No
 def test_legs_that_follow_perfectly_put_the_ball_where_it_was_sent_at_the_edge_of_reach() -> None:
     machine = VirtualHexapod(PERFECT)
     condition = CircleCondition("YZ", 100.0, 12_000.0, "CCW")
-    angle = path_angle_rad(condition, PERFECT)
+    angle = _path_angle_rad(condition, PERFECT)
     spoke = 100.0 * np.column_stack([0 * angle, np.cos(angle), np.sin(angle)])
     assert np.abs(machine.tool_mm(condition, angle) - CENTRE_MM - spoke).max() < 1e-5
 

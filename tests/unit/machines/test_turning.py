@@ -13,10 +13,10 @@ from dtwin.machines.turning import (
     SERVO_HZ,
     AccelerationChannel,
     AnaloguePath,
-    Motion,
     Slide,
     TurningSlide,
     _Accelerometer,
+    _Motion,
 )
 
 
@@ -68,13 +68,13 @@ def test_the_slide_goes_on_where_it_was() -> None:
 
 
 def test_the_accelerometer_has_a_floor_a_wander_and_a_range() -> None:
-    still = Motion(*(np.zeros(80_000) for _ in range(3)))
+    still = _Motion(*(np.zeros(80_000) for _ in range(3)))
     sensor = _Accelerometer(drift_g=0.0)
     shown = AccelerationChannel(sensor, np.random.default_rng(1)).sampled_g(still, 8)
     # Noise of its density in the band of a second-order low-pass, pi / (2 sqrt 2) wider.
     band = sensor.bandwidth_hz * np.pi / (2.0 * np.sqrt(2.0))
     assert np.std(shown) == pytest.approx(sensor.noise_g_per_root_hz * np.sqrt(band), rel=0.1)
-    wild = Motion(np.zeros(800), np.zeros(800), np.full(800, 9.0 * _UM_S2_PER_G))
+    wild = _Motion(np.zeros(800), np.zeros(800), np.full(800, 9.0 * _UM_S2_PER_G))
     clipped = AccelerationChannel(sensor, np.random.default_rng(1)).sampled_g(wild, 8)
     assert clipped[-1] == sensor.range_g
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from dtwin.acquire.b5r import read_b5r
 from dtwin.errors import InputError
-from dtwin.physics.circular import bidirectional_figures, circular_figures, fit_circle, minimum_zone_um
+from dtwin.physics.circular import _minimum_zone_um, bidirectional_figures, circular_figures, fit_circle
 from dtwin.physics.spectrum import _band_rms_um, strongest_lines
 
 ANGLE = np.arange(0.0, 360.0, 0.25)
@@ -51,7 +51,7 @@ def test_a_lobed_circle_has_twice_its_amplitude(amplitude: float, order: int, ph
 
 def test_minimum_zone_of_a_bump_is_narrower_than_least_squares() -> None:
     bump = np.where((ANGLE > 80) & (ANGLE < 100), 10.0, 0.0)
-    width, a_um, b_um = minimum_zone_um(ANGLE, bump)
+    width, a_um, b_um = _minimum_zone_um(ANGLE, bump)
     figures = circular_figures(ANGLE, bump, 100.0)
     rest = bump - a_um * np.cos(THETA) - b_um * np.sin(THETA)
     assert width == pytest.approx(np.ptp(rest), abs=1e-6)
@@ -146,7 +146,7 @@ def test_the_minimum_zone_of_many_samples_is_that_of_all_of_them(turns: float) -
         + 5.0 * np.cos(np.radians(2.0 * angle))
         + rng.normal(0.0, 1.0, angle.size)
     )
-    width, a, b = minimum_zone_um(angle, deviation)
+    width, a, b = _minimum_zone_um(angle, deviation)
     rest = deviation - a * np.cos(np.radians(angle)) - b * np.sin(np.radians(angle))
     assert np.ptp(rest) == pytest.approx(width, abs=1e-4)
     # No centre near it does better; the width is convex in the centre.

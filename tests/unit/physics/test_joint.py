@@ -12,7 +12,7 @@ from dtwin.machines.mill_parameters import MillParameters
 from dtwin.physics.diagnose import diagnose
 from dtwin.physics.effect import Instance
 from dtwin.physics.fit import fit
-from dtwin.physics.joint import Joint, MachineTest, Settled, Size, _said, joint
+from dtwin.physics.joint import Joint, MachineTest, _said, _Settled, _Size, joint
 from dtwin.physics.library import Library
 from dtwin.physics.machine_terms import machine_terms, seen_by
 from dtwin.physics.observations import Observations
@@ -51,7 +51,7 @@ def test_friction_that_a_servo_follows_is_no_lost_motion_beside_a_spike() -> Non
         assert group[0].label == "friction X"
 
 
-def settled_with(found: Joint, label: str) -> Settled:
+def settled_with(found: Joint, label: str) -> _Settled:
     return next(s for s in found.settled if label in s.group)
 
 
@@ -157,7 +157,7 @@ def test_a_lead_that_the_ball_bar_does_not_see_contradicts_it() -> None:
 def test_what_another_test_bounds_is_no_cause(
     here: tuple[float, float], there: tuple[float, float], said: str | None
 ) -> None:
-    assert _said(Size("bar", "", "thermal_growth", *here), Size("laser", "", "thermal_growth", *there)) == said
+    assert _said(_Size("bar", "", "thermal_growth", *here), _Size("laser", "", "thermal_growth", *there)) == said
 
 
 def test_growth_of_two_axes_together_is_judged_together() -> None:

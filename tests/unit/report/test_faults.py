@@ -12,7 +12,7 @@ from defusedxml.ElementTree import fromstring
 from dtwin.kinds.volumetric.motions import FAMILIES
 from dtwin.physics.fit import Estimate
 from dtwin.physics.library import Library
-from dtwin.report.faults import found_faults, grouped, in_titles, size_of, sizes_of, undecided_lines
+from dtwin.report.faults import _size_of, found_faults, grouped, in_titles, sizes_of, undecided_lines
 from dtwin.report.plots import polar_rings
 from dtwin.report.signatures import signature_svg
 from dtwin.report.text import WIDE, listed, table
@@ -53,7 +53,7 @@ def estimate(name: str, value: float, uncertainty: float, unit: str = "um", *, t
     ],
 )
 def test_a_size_is_rounded_to_its_uncertainty(estimates: list[Estimate], said: str) -> None:
-    assert size_of(estimates) == said
+    assert _size_of(estimates) == said
 
 
 def test_many_names_and_sizes_do_not_make_a_page_wide() -> None:
@@ -77,7 +77,7 @@ def test_many_names_and_sizes_do_not_make_a_page_wide() -> None:
 def test_the_uncertainty_of_an_amplitude_covers_it() -> None:
     rng = np.random.default_rng(4)
     drawn = np.array([3.0, 4.0]) + rng.normal(0.0, 0.2, (400, 2))
-    told = [size_of([estimate("cosine", c, 0.4), estimate("sine", s, 0.4)]) for c, s in drawn]
+    told = [_size_of([estimate("cosine", c, 0.4), estimate("sine", s, 0.4)]) for c, s in drawn]
     inside = [abs(float(a) - 5.0) <= float(u) for a, u in (re.findall(r"[\d.]+", t) for t in told)]
     assert 0.92 <= np.mean(inside) <= 0.98
 

@@ -9,7 +9,7 @@ import pytest
 
 from dtwin.config import Home
 from dtwin.machine_record import Event, with_event
-from dtwin.physics.contradictions import Contradiction, What
+from dtwin.physics.contradictions import Contradiction, _What
 from dtwin.physics.library import Library
 from dtwin.physics.several_twin import SeveralTwin
 from dtwin.physics.twin import Twin, ValidityBox
@@ -20,7 +20,7 @@ from dtwin.twins._kept_diagnosis import with_record
 DAYS = {"a": "2026-05-01", "b": "2026-05-06", "c": "2026-05-09"}
 
 
-def told(home: Home, mine: str, others: str, what: What, days: dict[str, str] = DAYS) -> str:
+def told(home: Home, mine: str, others: str, what: _What, days: dict[str, str] = DAYS) -> str:
     """Return the line of a twin of three tests, of which one side contradicts the other."""
 
     def twin(campaign: str) -> Twin:
@@ -62,7 +62,7 @@ def told(home: Home, mine: str, others: str, what: What, days: dict[str, str] = 
     ],
 )
 def test_an_event_counts_when_it_lies_between(
-    tmp_path: Path, day: str, what: What, mine: str, others: str, said: str
+    tmp_path: Path, day: str, what: _What, mine: str, others: str, said: str
 ) -> None:
     home = Home(tmp_path)
     with_event(home, "mill-7", "crash", day, "vice")

@@ -12,7 +12,7 @@ from dtwin.acquire.quality import judge_campaign
 from dtwin.errors import InputError
 from dtwin.kinds.circular._sheet import circular_sheet
 from dtwin.kinds.registry import kind_named
-from dtwin.report.checking import check_source, sheet_of
+from dtwin.report.checking import _sheet_of, check_source
 from dtwin.report.sheet import Characteristic, Limits, judged, sheet_lines
 from dtwin.report.uncertainty import Circumstances, Contribution, Variation, combined
 from dtwin.schema import Campaign, Finding, Run, RunMeta
@@ -62,12 +62,12 @@ def test_runs_with_a_correction_are_no_repeats_of_runs_without() -> None:
         replace(run, meta=replace(run.meta, run_id=f"{run.meta.run_id}-with", correction="f00d")) for run in better
     ]
     kind, stated = kind_named("circular"), Campaign("turns", "mill", "circular", "")
-    alone, turns = (sheet_of(kind, stated, runs, {}) for runs in (plain, [*plain, *corrected]))
+    alone, turns = (_sheet_of(kind, stated, runs, {}) for runs in (plain, [*plain, *corrected]))
     assert turns["parts"] == alone["parts"]
     (told,) = (f for f in judge_campaign([*plain, *corrected]) if f.code == "campaign.ways")
     assert told.message.startswith("4 of 8 runs")
     # A campaign that was measured with one correction throughout shows what that leaves.
-    (part,) = sheet_of(kind, stated, corrected, {})["parts"]
+    (part,) = _sheet_of(kind, stated, corrected, {})["parts"]
     assert set(part["runs"]) == {run.meta.run_id for run in corrected}
     assert not any(f.code == "campaign.ways" for f in judge_campaign(corrected))
 
@@ -270,11 +270,11 @@ def test_a_tolerance_that_a_test_does_not_tell_keeps_it_from_being_inside() -> N
     runs = [circle("CCW", n, rng.normal(0, 0.1, ANGLE.size)) for n in (1, 2, 3)]
     campaign, kind = Campaign("c", "m"), kind_named("circular")
     asked = limits_from({"G(CCW)": 50.0, "G(b)": 50.0, "A": 1.0}, "here")
-    sheet = sheet_of(kind, campaign, runs, asked)
+    sheet = _sheet_of(kind, campaign, runs, asked)
     assert (sheet["verdict"], sheet["parts"][0]["verdict"]) == ("cannot say", "inside")
     # A is of another kind of test.
     assert sheet["notes"] == ["G(b) has a tolerance, and this test does not tell it."]
-    assert sheet_of(kind, campaign, runs, limits_from({"G(CCW)": 50.0}, "here"))["verdict"] == "inside"
+    assert _sheet_of(kind, campaign, runs, limits_from({"G(CCW)": 50.0}, "here"))["verdict"] == "inside"
 
 
 def test_a_symbol_of_two_standards_is_that_of_positioning_unless_its_kind_is_told() -> None:
@@ -289,14 +289,14 @@ def test_the_uncertainty_of_the_instrument_is_added_and_checked() -> None:
     runs = [circle(way, n, np.full(ANGLE.size, 0.01 * n)) for n in (1, 2, 3) for way in ("CCW", "CW")]
     kind = kind_named("circular")
     plain, stated = (
-        sheet_of(kind, Campaign("c", "m", instrument=instrument), runs, {})["parts"][0]["characteristics"][0]
+        _sheet_of(kind, Campaign("c", "m", instrument=instrument), runs, {})["parts"][0]["characteristics"][0]
         for instrument in ({"uncertainty_um": 0.0}, {"uncertainty_um": 3.0})
     )
     (scatter, _), own = plain["budget"]["contributions"], stated["budget"]["contributions"][1]
     assert (own["source"], own["standard_um"], own["assumed"]) == ("instrument", 1.5, False)
     assert stated["budget"]["standard_um"] == pytest.approx(np.hypot(scatter["standard_um"], 1.5))
     with pytest.raises(InputError, match="uncertainty of the instrument"):
-        sheet_of(kind, Campaign("c", "m", instrument={"uncertainty_um": "small"}), runs, {})
+        _sheet_of(kind, Campaign("c", "m", instrument={"uncertainty_um": "small"}), runs, {})
 
 
 def test_contributions_are_combined_as_the_gum_says() -> None:
@@ -337,4 +337,4 @@ def test_a_tolerance_of_a_campaign_that_is_none_is_refused() -> None:
     runs = [circle(way, n, np.full(ANGLE.size, 0.01 * n)) for n in (1, 2) for way in ("CCW", "CW")]
     for wrong in (3.0, {"H": "much"}, {"circular:H": 3.0}):
         with pytest.raises(InputError, match="tolerance"):
-            sheet_of(kind_named("circular"), Campaign("c", "m", instrument={"tolerances": wrong}), runs, {})
+            _sheet_of(kind_named("circular"), Campaign("c", "m", instrument={"tolerances": wrong}), runs, {})

@@ -14,7 +14,7 @@ from dtwin.errors import GateRefusal, InputError
 from dtwin.links import state as layout
 from dtwin.serve.band import COVARIANCE, HELD_OUT, Band, constant_band, fade, require_fading
 from dtwin.serve.builder import GraphBuilder
-from dtwin.serve.bundle import Bundle, checksum
+from dtwin.serve.bundle import Bundle, _checksum
 from dtwin.serve.bundle_file import load_bundle, save_bundle
 from dtwin.serve.decision import Decision
 from dtwin.serve.interface import Output
@@ -64,7 +64,7 @@ def test_a_bundle_of_before_has_the_same_fields_and_checksum_and_serves_as_it_di
         *("format", "version", "name", "machine", "model_version", "created", "inputs", "outputs", "states", "window"),
         *("window_graph", "tick_graph", "safety", "provenance", "vectors", "sha256"),
     }
-    assert checksum({k: v for k, v in data.items() if k != "sha256"}) == data["sha256"]
+    assert _checksum({k: v for k, v in data.items() if k != "sha256"}) == data["sha256"]
     again = Bundle.from_dict(data)
     assert again == plain
     compiled = CompiledBundle(again)
@@ -114,7 +114,7 @@ def test_a_negative_half_width_is_refused() -> None:
 def test_a_band_with_an_unknown_basis_is_refused() -> None:
     data = path_bundle(band=growing_band()).to_dict()
     data["band"]["basis"] = "guess"
-    data["sha256"] = checksum({k: v for k, v in data.items() if k != "sha256"})
+    data["sha256"] = _checksum({k: v for k, v in data.items() if k != "sha256"})
     with pytest.raises(InputError, match=r"band\.basis"):
         Bundle.from_dict(data)
 

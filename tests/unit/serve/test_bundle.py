@@ -13,7 +13,7 @@ from bundles import path_bundle, sensor_bundle
 
 from dtwin.errors import DtwinError, GateRefusal, InputError, StoreError
 from dtwin.serve.builder import GraphBuilder
-from dtwin.serve.bundle import Bundle, checksum
+from dtwin.serve.bundle import Bundle, _checksum
 from dtwin.serve.bundle_file import load_bundle, save_bundle
 from dtwin.serve.graph import Graph, Node
 from dtwin.serve.interface import Input
@@ -29,7 +29,7 @@ def resealed(path: Path, change: Any) -> None:
     """Change a bundle's content and give it a fitting checksum again."""
     data = json.loads(path.read_text())
     change(data)
-    data["sha256"] = checksum({k: v for k, v in data.items() if k != "sha256"})
+    data["sha256"] = _checksum({k: v for k, v in data.items() if k != "sha256"})
     path.write_text(json.dumps(data))
 
 

@@ -32,7 +32,7 @@ from dtwin.serve.pointer import (
     write_machine,
     write_pointer,
 )
-from dtwin.serve.sealed import BARRED, CHAMPION, SEAL, write_sealed
+from dtwin.serve.sealed import _SEAL, BARRED, CHAMPION, write_sealed
 from dtwin.workbench._access import Access
 from dtwin.workbench._bench import Bench
 from dtwin.workbench.server import application
@@ -279,7 +279,7 @@ def test_a_tool_that_was_moved_is_refused(home: Home) -> None:
         read_machine("cobot-a", home)
     assert refused.value.code == "seal.differs"
     # The cure that the refusal names.
-    path.with_name(SEAL).unlink()
+    path.with_name(_SEAL).unlink()
     with pytest.raises(GateRefusal, match="missing"):
         resolve("latest", "cobot-a", home)
     write_machine("cobot-a", home, {"type": "ur10e", "tcp_mm": [0.0, 0.0, 158.3]})
@@ -316,7 +316,7 @@ def test_a_writer_that_dies_at_any_moment_leaves_what_is_valid(home: Home) -> No
         assert barred_why("cobot-a", home, 1) == "first"
         assert resolve("latest", "cobot-a", home).version == 3
         assert (barred_why("cobot-a", home, 2) != "") is (step > 1)
-    assert {p.name for p in folder.glob("*.json")} == {CHAMPION, BARRED, SEAL, "v3.json"}
+    assert {p.name for p in folder.glob("*.json")} == {CHAMPION, BARRED, _SEAL, "v3.json"}
 
 
 def test_many_writers_at_once_lose_nothing(home: Home) -> None:
@@ -344,7 +344,7 @@ def test_a_champion_of_a_machine_without_a_file_of_its_own_is_checked_with_the_h
     assert list(check_home(home).wrong) == ["bundles/cobot-a"]
 
 
-@pytest.mark.parametrize("name", [CHAMPION, "trial.json", "machine.json", BARRED, SEAL])
+@pytest.mark.parametrize("name", [CHAMPION, "trial.json", "machine.json", BARRED, _SEAL])
 @pytest.mark.parametrize("how", ["gone", "cut", "empty", "folder", "pipe"])
 def test_a_file_that_is_lost_or_cut_is_missed(home: Home, name: str, how: str) -> None:
     write_machine("cobot-a", home, {"type": "ur10e", "tcp_mm": [0.0, 0.0, 158.3]})

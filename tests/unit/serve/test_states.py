@@ -8,7 +8,7 @@ import pytest
 from dtwin.kinematics import UR10E
 from dtwin.links import state as layout
 from dtwin.links.state import LiveValues
-from dtwin.links.state_feed import REQUIRED, StateFeed
+from dtwin.links.state_feed import _REQUIRED, StateFeed
 from dtwin.machines.cobot import VirtualCobot
 from dtwin.machines.motion import CircleCondition
 from dtwin.serve import _state_limits as state_limits
@@ -52,7 +52,7 @@ def test_no_number_of_a_state_may_be_impossible(place: int, bad: float) -> None:
 
 
 def test_a_line_with_a_number_of_no_float_is_no_state() -> None:
-    whole = "{" + ", ".join(f'"{name}": 1' for name in REQUIRED) + "}"
+    whole = "{" + ", ".join(f'"{name}": 1' for name in _REQUIRED) + "}"
     feed = StateFeed("127.0.0.1:9")
     assert feed._read(whole.encode())
     for number in ("1" + "0" * 400, "1" + "0" * 5000, "NaN", "[1]", "null"):

@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 
 from dtwin.errors import InputError
 from dtwin.links import ur_registers
-from dtwin.links.ur_program import TICK_HZ, _correction_functions, correction_program
+from dtwin.links.ur_program import _TICK_HZ, _correction_functions, correction_program
 
 LIMIT_UM, SLEW_UM_S, WATCHDOG_S = 200.0, 10_000.0, 0.02
-STEP_UM = SLEW_UM_S / TICK_HZ
+STEP_UM = SLEW_UM_S / _TICK_HZ
 IDLE = [0.0] * 6
 
 
@@ -33,7 +33,7 @@ def in_force(state: list[Any]) -> int:
 
 
 def start(sequence: int = 7) -> list[Any]:
-    return [*IDLE, sequence, round(WATCHDOG_S * TICK_HZ)]
+    return [*IDLE, sequence, round(WATCHDOG_S * _TICK_HZ)]
 
 
 def test_an_offset_is_latched_when_the_sequence_changes_and_not_before() -> None:
@@ -53,10 +53,10 @@ def test_silence_leads_back_to_zero_at_the_slew_rate() -> None:
         state = tick(state, sequence, 200.0, 0.0, 0.0)
     assert state[0] == 200.0
     seen = []
-    for _ in range(round(WATCHDOG_S * TICK_HZ) + round(200.0 / STEP_UM) + 1):
+    for _ in range(round(WATCHDOG_S * _TICK_HZ) + round(200.0 / STEP_UM) + 1):
         state = tick(state, 29, 200.0, 0.0, 0.0)
         seen.append(state[0])
-    assert seen[round(WATCHDOG_S * TICK_HZ) - 1] == 200.0
+    assert seen[round(WATCHDOG_S * _TICK_HZ) - 1] == 200.0
     assert seen[-1] == 0.0
     assert all(a - b <= STEP_UM + 1e-9 for a, b in itertools.pairwise(seen))
     assert in_force(state) == 0
@@ -67,7 +67,7 @@ def test_what_was_dropped_comes_back_only_from_zero() -> None:
     for sequence in range(8, 30):
         state = tick(state, sequence, 200.0, 0.0, 0.0)
     assert in_force(state) == 29
-    for _ in range(round(WATCHDOG_S * TICK_HZ) + 1):
+    for _ in range(round(WATCHDOG_S * _TICK_HZ) + 1):
         state = tick(state, 29, 200.0, 0.0, 0.0)
     # While it still ramps, and long after: a full vector would be a jump.
     for sequence in range(30, 100):

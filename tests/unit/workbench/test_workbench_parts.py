@@ -47,7 +47,7 @@ from dtwin.workbench._jobs import Jobs
 from dtwin.workbench._live_routes import _latched_by, sessions
 from dtwin.workbench._plan_routes import experiment_documents, grids_of, plans_zip
 from dtwin.workbench._twin_routes import decimal
-from dtwin.workbench.server import Connection, application
+from dtwin.workbench.server import _Connection, application
 
 
 @pytest.mark.parametrize(
@@ -497,7 +497,7 @@ def test_a_connection_that_asks_nothing_is_closed_and_slow_work_is_not(monkeypat
         await send({"type": "http.response.body", "body": body})
 
     with socket.create_server(("127.0.0.1", 0)) as listening:
-        config = uvicorn.Config(slow, http=Connection, lifespan="off", log_level="error", timeout_keep_alive=600)
+        config = uvicorn.Config(slow, http=_Connection, lifespan="off", log_level="error", timeout_keep_alive=600)
         server = uvicorn.Server(config)
         serving = threading.Thread(target=server.run, kwargs={"sockets": [listening]}, daemon=True)
         serving.start()
