@@ -19,9 +19,8 @@ from dtwin.schema import Floats
 # As share of a column's sum of squares; less differs between repeats by rounding only.
 _ROUNDING = 1e-18
 _SPANNING = 8
-# Logarithms of shapes: the step that slopes are taken with, and how far from there they are used, where columns change by
-# so little, as a share of themselves.
-_STEP, _NEAR, _LITTLE = 1e-4, 0.05, 0.02
+# Logarithms of shapes: the step that slopes are taken with, and how far from there they are used.
+_STEP, _NEAR = 1e-4, 0.02
 # Columns of so many shapes between those of the grids.
 _MOST_KEPT = 500
 
@@ -46,7 +45,7 @@ class Condensed:
     condition_of: Indices
     root: Floats
     _between_grids: dict[object, Floats] = field(default_factory=dict, repr=False, compare=False)
-    _lines: dict[object, tuple[Floats, Floats, Floats]] = field(default_factory=dict, repr=False, compare=False)
+    _slopes: dict[object, tuple[Floats, Floats]] = field(default_factory=dict, repr=False, compare=False)
 
     @property
     def residual(self) -> Floats:
@@ -67,26 +66,17 @@ class Condensed:
             kept[key] = self.each([made]).T
         return kept[key]
 
-    def changing(self, term: Term, names: Sequence[str], *, roughly: bool) -> tuple[Floats, list[Floats]]:
-        """Return the columns of a term with any shape, and how they change with the logarithm of some shapes, shape (m, k) each.
+    def slope(self, term: Term, name: str) -> Floats:
+        """Return how the columns of a term change with the logarithm of a shape, shape (m, k).
 
-        Slopes stay as they are while the columns change little. ``roughly``: columns then follow a straight line, too.
+        Of a shape next to it when that was asked for before: slopes change little from there.
         """
-        others = tuple(sorted((name, value) for name, value in term.shape.items() if name not in names))
-        key, logs = (term.label, others), np.log([max(term.shape[name], 1e-300) for name in names])
-        if key in self._lines:
-            there, columns, slopes = self._lines[key]
-            change = np.tensordot(logs - there, slopes, axes=1)
-            if np.abs(logs - there).max() <= _NEAR and (change**2).sum() <= _LITTLE**2 * (columns**2).sum():
-                return columns + change if roughly else self.columns_between(term), list(slopes)
-        columns = self.columns_between(term)
-        slopes = np.empty((len(names), *columns.shape))
-        for number, name in enumerate(names):
-            moved = dict(term.shape) | {name: term.shape[name] * np.exp(_STEP)}
-            made = self.problem.obs.distinct_harmonics(term.instance, moved, keep=False)
-            slopes[number] = (self.each([made]).T - columns) / _STEP
-        self._lines[key] = logs, columns, slopes
-        return columns, list(slopes)
+        key, logs = (term.label, name), np.log([max(value, 1e-300) for _, value in sorted(term.shape.items())])
+        if key not in self._slopes or np.abs(self._slopes[key][0] - logs).max() > _NEAR:
+            moved = replace(term, shape=dict(term.shape) | {name: term.shape[name] * np.exp(_STEP)})
+            made = self.problem.obs.distinct_harmonics(moved.instance, moved.shape, keep=False)
+            self._slopes[key] = logs, (self.each([made]).T - self.columns_between(term)) / _STEP
+        return self._slopes[key][1]
 
     def each(self, made: Sequence[tuple[Floats, Indices]]) -> Floats:
         """Return whitened columns, one after the other, shape (columns, m). ``made``: as ``Candidates.harmonics`` gives them."""

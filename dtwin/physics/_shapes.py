@@ -27,7 +27,7 @@ def refined(
     ``campaign``: with what is known besides.
     ``terms``: effects with the shapes to start from.
     ``enough``: a step that lowers the sum of squares by less is the last one.
-    ``bounded``: stay within the grids, as diagnosis does, and take few rough steps. Beyond them many effects turn into others:
+    ``bounded``: stay within the grids, as diagnosis does, and take few steps. Beyond them many effects turn into others:
     friction without travel and a spike without end are backlash. Otherwise within what is physically possible.
     The same terms when no other shapes are better, or when none has any.
     """
@@ -39,7 +39,7 @@ def refined(
     free = [term.instance.effect.refined_shapes(several) for term in shaped]
     sizes = [len(shapes) for shapes in free]
     parts = [slice(end - n, end) for end, n in zip(np.cumsum(sizes), sizes, strict=True)]
-    projected = _Projected(campaign, shaped, free, parts, bounded)
+    projected = _Projected(campaign, shaped, free, parts)
     begun = np.concatenate([_logs(term, shapes) for term, shapes in zip(shaped, free, strict=True)])
     ranges = [_bounds(shapes, begun[part], bounded) for shapes, part in zip(free, parts, strict=True)]
     low, high = (np.concatenate(ends) for ends in zip(*ranges, strict=True))
@@ -72,10 +72,8 @@ class _Projected:
         terms: Sequence[Term],
         free: Sequence[Sequence[ShapeParameter]],
         parts: Sequence[slice],
-        roughly: bool,
     ) -> None:
         self._campaign, self._terms, self._free, self._parts = campaign, terms, free, parts
-        self._roughly = roughly
         self._residual = campaign.residual
         self._turned: dict[bytes, Floats] = {}
 
@@ -97,16 +95,16 @@ class _Projected:
         """Return slopes and, at last, the residual, shape (m, shapes + 1)."""
         campaign = self._campaign
         terms = [_at(t, free, logs[part]) for t, free, part in zip(self._terms, self._free, self._parts, strict=True)]
-        changing = [
-            campaign.changing(term, [shape.name for shape in free], roughly=self._roughly)
-            for term, free in zip(terms, self._free, strict=True)
-        ]
-        every = [columns for columns, _ in changing]
+        every = [campaign.columns_between(term) for term in terms]
         columns = self._seen(np.concatenate(every, axis=1))
         inverse = np.asarray(np.linalg.pinv(columns.T @ columns, rcond=1e-10, hermitian=True), float)
         amplitude = inverse @ (columns.T @ self._residual)
         own = np.split(amplitude, np.cumsum([made.shape[1] for made in every])[:-1])
-        changes = [slope @ a for (_, slopes), a in zip(changing, own, strict=True) for slope in slopes]
+        changes = [
+            campaign.slope(term, shape.name) @ a
+            for term, free, a in zip(terms, self._free, own, strict=True)
+            for shape in free
+        ]
         slopes = self._seen(np.stack(changes, axis=1))
         slopes -= columns @ (inverse @ (columns.T @ slopes))
         return np.column_stack([-slopes, self._residual - columns @ amplitude])
