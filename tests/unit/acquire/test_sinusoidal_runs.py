@@ -158,7 +158,7 @@ def test_the_frequency_that_was_run_is_said() -> None:
     [
         ("frequency_hz = 40.0\n", "", "must state frequency and amplitude"),
         ("frequency_hz = 40.0\n", "frequency_hz = -40\n", "must state frequency and amplitude"),
-        ("z_bandwidth_hz = 50.0", 'z_bandwidth_hz = "wide"', "no frequency"),
+        ("z_bandwidth_hz = 50.0", 'z_bandwidth_hz = "wide"', "z_bandwidth_hz is not usable"),
     ],
 )
 def test_a_run_without_its_tone_or_with_no_bandwidth_is_refused(
