@@ -243,9 +243,10 @@ def _significant(terms: Sequence[Term], problem: Problem, candidates: Candidates
     """Return the effects without those that are not significant beside all the others."""
     terms = list(terms)
     many = independent([c.visible for c in first.candidates], problem.obs)
+    # What effects leave that were taken out before is no misfit of the library.
+    level = level_beside(candidates.given(problem, terms))
     while terms:
         p_values = []
-        level = level_beside(candidates.given(problem, terms))
         for term in terms:
             given = candidates.given(problem, [t for t in terms if t is not term])
             candidate = candidates.tested_term(given, term, level)
