@@ -90,8 +90,9 @@ class _Intervention:
     def said(self) -> str:
         """Whether it went, in words."""
         if self.confirmed:
-            return "went away: intervention-confirmed"
-        if all(change.went for change in self.changes if change.was_there) and self.others:
+            return f"went away: {_GRADE}"
+        gone = [change.went for change in self.changes if change.was_there]
+        if gone and all(gone):
             return (
                 "is smaller, and more of the other effects changed than stayed: not confirmed; were the measurements made on this machine, "
                 "and nothing else mended?"
