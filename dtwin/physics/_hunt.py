@@ -65,6 +65,8 @@ class Hunt:
         # Of each entry of the dictionary.
         self._prices, self._widths, self._parities = np.empty(0), np.empty(0), np.empty(0, dtype=str)
         self._barred: set[str] = set()
+        # Sets of labels of which no two effects are one.
+        self._apart: set[frozenset[str]] = set()
 
     def left(self, chosen: Sequence[Entry]) -> float:
         """Return the sum of squares that a set leaves."""
@@ -240,7 +242,8 @@ class Hunt:
 
         Of effects that look alike only: a step and a spike are friction that the drive overcomes in its own time, which no shape of the grid need be.
         """
-        if not self.dictionary.problem.obs.several_speeds:
+        labels = frozenset(entry.label for entry in chosen)
+        if not self.dictionary.problem.obs.several_speeds or labels in self._apart:
             return chosen
         for first, second in itertools.combinations(chosen, 2):
             axis, alike = first.term.instance.axis, sorted(_alike(first) & _alike(second))
@@ -250,8 +253,8 @@ class Hunt:
             explained = self.left(rest) - self.left(chosen)
             for name in alike:
                 gains = self.dictionary.gains(rest)
-                labels = {f"{name} {axis}"} - self._barred
-                numbers = [n for n in self.dictionary.numbers_of(labels) if gains[n] > _NEAR * explained]
+                wanted = {f"{name} {axis}"} - self._barred
+                numbers = [n for n in self.dictionary.numbers_of(wanted) if gains[n] > _NEAR * explained]
                 start = self.dictionary.entries[max(numbers, key=gains.__getitem__)] if numbers else None
                 if start is not None and start.term.shape:
                     beside = self.dictionary.campaign.given(entry.term for entry in rest)
@@ -259,6 +262,7 @@ class Hunt:
                     one = [*rest, *self.dictionary.add(alone)]
                     if self._cost(one) < self._cost(chosen):
                         return self._one_for_two(one)
+        self._apart.add(labels)
         return chosen
 
     def _with_one_screw(self, chosen: list[Entry]) -> list[Entry]:

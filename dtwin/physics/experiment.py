@@ -18,6 +18,7 @@ from dtwin.physics.grid import PathCondition
 from dtwin.physics.gridding import CIRCLE, Condition
 from dtwin.physics.observations import Observations
 from dtwin.physics.problem import Term, least_visible, set_up, unweighted, weighted_like
+from dtwin.physics.whitening import PureError
 from dtwin.plan import Plan
 from dtwin.schema import PLANES, Campaign, Direction, Floats, RunMeta
 from dtwin.statistics import f_quantile, f_tail
@@ -105,7 +106,8 @@ def next_experiment(
     pairs = _pairs(obs, known, library, groups)
     if not pairs:
         return None
-    tried = [made for p in _proposals(obs) if (made := _with_powers(p, obs, known, pairs)) is not None]
+    sizes = [_size(obs, [*known, *beside], one) for one, _, beside in pairs]
+    tried = [made for p in _proposals(obs) if (made := _with_powers(p, obs, known, pairs, sizes)) is not None]
     best = min(tried, key=_rank, default=None)
     advice = pairs[0][0].instance.effect.separate_by
     if best is None or max(best.powers) < _HOPELESS:
@@ -142,10 +144,14 @@ def _with_powers(
     obs: Observations,
     known: Sequence[Term],
     pairs: Sequence[tuple[Term, Sequence[Term], Sequence[Term]]],
+    sizes: Sequence[tuple[PureError, Floats] | None],
 ) -> Proposal | None:
     """Return a proposal with what it would tell; None where the arm does not reach its circles."""
     try:
-        powers = [_power(obs, [*known, *beside], one, two, proposal.conditions) for one, two, beside in pairs]
+        powers = [
+            0.0 if size is None else _power(obs, [*known, *beside], one, two, proposal.conditions, *size)
+            for (one, two, beside), size in zip(pairs, sizes, strict=True)
+        ]
     except InputError as error:
         if error.code != "kinematics.unreachable":
             raise
@@ -303,18 +309,28 @@ def _proposal(text: str, conditions: list[Condition], *, new_setup: bool) -> Pro
     return Proposal(text, tuple(conditions), seconds / 60.0)
 
 
-def _power(
-    obs: Observations, known: Sequence[Term], wanted: Term, rivals: Sequence[Term], conditions: Sequence[Condition]
-) -> float:
-    """Return the probability that rivals together are rejected, in whatever shape, when the wanted effect is the truth."""
+def _size(obs: Observations, known: Sequence[Term], wanted: Term) -> tuple[PureError, Floats] | None:
+    """Return the noise of the runs, and the sizes that an effect has in them, shape (parameters,); None without noise."""
     problem = set_up(obs, known, [])
     if problem.noise is None:
-        return 0.0
+        return None
     columns = problem.whitened(obs.regressors(wanted.instance, wanted.shape))
     left = columns - problem.basis @ (problem.basis.T @ columns)
-    size = np.linalg.lstsq(left, problem.residual.ravel(), rcond=1e-8)[0]
+    return problem.noise, np.asarray(np.linalg.lstsq(left, problem.residual.ravel(), rcond=1e-8)[0])
+
+
+def _power(
+    obs: Observations,
+    known: Sequence[Term],
+    wanted: Term,
+    rivals: Sequence[Term],
+    conditions: Sequence[Condition],
+    noise: PureError,
+    size: Floats,
+) -> float:
+    """Return the probability that rivals together are rejected, in whatever shape, when the wanted effect is the truth."""
     grown = _grown(obs, conditions)
-    design = weighted_like(grown, known, problem.noise)
+    design = weighted_like(grown, known, noise)
     profile = design.whitened(grown.regressors(wanted.instance, wanted.shape)) @ size
     left_over = 1.0
     # Rivals of an effect have its shapes in common.
@@ -325,7 +341,7 @@ def _power(
         left_over = min(left_over, share[0] if seen.shape[1] else 0.0)
     if not left_over:
         return 0.0
-    variance = float(np.nanmean(problem.noise.variance))
+    variance = float(np.nanmean(noise.variance))
     noncentrality = float((profile**2).sum() * left_over) / variance
     dof = float(grown.n_rows - len(grown.conditions))
     limit = f_quantile(0.05, (1, dof))

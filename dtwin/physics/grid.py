@@ -116,7 +116,7 @@ class Grid:
     ``setup``, (n, k): what belongs to a set-up and never to the machine.
     ``setup_names``: names of these, with unit.
     ``fine``: points in each bin at which effects are evaluated.
-    ``averaged``: takes values at the fine points, shape (n * fine, k), to the bins, shape (n, k).
+    ``averaged``: takes values at the fine points, shape (..., n * fine, k), to the bins, shape (..., n, k).
     ``state``: ``state(meta, condition, feed_mm_s, geometry)``: the machine at the fine points of a run, nothing logged.
     ``described``: highest harmonic that a headline names.
     ``in_plane``: whether two axes move in a plane; else one moves alone.

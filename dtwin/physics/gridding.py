@@ -15,7 +15,9 @@ from dtwin.physics.state import AXES_OF, State, circular_state
 from dtwin.schema import Direction, Floats, Plane, Run, RunMeta
 
 N_BINS = 360
-_POINTS_PER_BIN = 8
+# Gauss-Legendre, within a bin from 0 to 1: three points mean as much as a hundred at equal distances would.
+_WITHIN_BIN = 0.5 * (1.0 + np.polynomial.legendre.leggauss(3)[0])
+_WEIGHTS = 0.5 * np.polynomial.legendre.leggauss(3)[1]
 _SAMPLE_COLUMNS = ("t_s", "angle_deg", "deviation_um")
 _MIN_BINS = 30
 _GAP_BINS = 3
@@ -164,8 +166,8 @@ def _off_centre_um(
     bins = np.floor(angle_deg[here]).astype(int) % N_BINS
     count = np.bincount(bins, minlength=N_BINS)
     sampled = _filled(_waves(theta) @ fitted, bins, count, known & (count == 0))
-    fine = _waves(fine_angle_rad()) @ fitted
-    return np.where(known, fine.reshape(N_BINS, -1).mean(axis=1) - sampled, 0.0)
+    whole = _averaged(_waves(fine_angle_rad()) @ fitted[:, None])[:, 0]
+    return np.where(known, whole - sampled, 0.0)
 
 
 def _waves(theta: Floats) -> Floats:
@@ -213,14 +215,13 @@ def _reached_feed_mm_s(run: Run, marked: slice, angle_deg: Floats, condition: Co
 
 def fine_angle_rad() -> Floats:
     """Return the angles at which effects are evaluated, several in each bin."""
-    n = N_BINS * _POINTS_PER_BIN
-    return np.asarray((np.arange(n) + 0.5) * (2.0 * np.pi / n), dtype=np.float64)
+    return np.asarray(np.radians(np.add.outer(np.arange(N_BINS), _WITHIN_BIN)).ravel(), dtype=np.float64)
 
 
 def _averaged(fine: Floats) -> Floats:
-    """Return bin means, shape (360, k), of values at the fine angles, shape (n, k)."""
-    first = np.arange(0, len(fine), _POINTS_PER_BIN)
-    return np.asarray(np.add.reduceat(fine, first, axis=0) / _POINTS_PER_BIN)
+    """Return bin means, shape (..., 360, k), of values at the fine angles, shape (..., n, k)."""
+    parts = fine.reshape(*fine.shape[:-2], N_BINS, len(_WEIGHTS), fine.shape[-1])
+    return np.asarray(np.einsum("i,...ik->...k", _WEIGHTS, parts))
 
 
 def bin_angle_rad() -> Floats:
@@ -240,7 +241,7 @@ def _circle() -> Grid:
         points=np.arange(0.5, N_BINS),
         setup=np.stack([np.ones(N_BINS), np.cos(theta), np.sin(theta)], axis=1),
         setup_names=("radius_um", "centre_first_um", "centre_second_um"),
-        fine=_POINTS_PER_BIN,
+        fine=len(_WEIGHTS),
         averaged=_averaged,
         state=_state,
         described=_DESCRIBED_HARMONICS,

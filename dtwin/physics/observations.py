@@ -238,12 +238,15 @@ class Observations:
         masks = self.condition_masks
         if masks is None or not self.is_alike_in_repeats(instance):
             return to_harmonics(self.regressors(instance, shape)), np.arange(self.n_rows)
-        made = [partial(_averaged, self.grid, instance, shape, state) for state in self._condition_states]
-        columns = [
-            kept_columns(instance, shape, key, make) if keep else make()
-            for key, make in zip(self._condition_keys, made, strict=True)
-        ]
-        return to_harmonics(self._told(np.stack(columns)) * masks[:, :, None]), self.condition_of
+        if keep:
+            made = [partial(_averaged, self.grid, instance, shape, state) for state in self._condition_states]
+            columns = np.stack(
+                [kept_columns(instance, shape, *one) for one in zip(self._condition_keys, made, strict=True)]
+            )
+        else:
+            at = [instance.effect.columns(state, instance.axis, shape) for state in self._condition_states]
+            columns = self.grid.averaged(np.stack(at))
+        return to_harmonics(self._told(columns) * masks[:, :, None]), self.condition_of
 
     def _told(self, columns: Floats) -> Floats:
         """Return columns on whole circles, shape (k, n, ...), as runs tell them: without the centre that every row has of its own.

@@ -9,7 +9,7 @@ from mill_and_laser import circles, laser, measured
 
 from dtwin.machines.mill_parameters import MillParameters
 from dtwin.physics.diagnose import diagnose
-from dtwin.physics.experiment import _power, next_experiment
+from dtwin.physics.experiment import _power, _size, next_experiment
 from dtwin.physics.fit import fit
 from dtwin.physics.library import Library
 from dtwin.physics.observations import observe
@@ -80,8 +80,10 @@ def test_a_rival_of_another_shape_is_not_excluded_by_runs_that_exclude_the_first
     obs = observe(campaign, hourly)
     known = chosen_terms(("backlash:X",), library, obs)
     (wanted,), (rival,) = (chosen_terms((name,), library, obs) for name in ("scale_mismatch:XY", "warming_growth:X"))
+    found = _size(obs, known, wanted)
+    assert found is not None
     one, two = (
-        _power(obs, known, wanted, [replace(rival, shape={"settling_h": hours})], obs.conditions)
+        _power(obs, known, wanted, [replace(rival, shape={"settling_h": hours})], obs.conditions, *found)
         for hours in (0.15, 1e4)
     )
     assert one == two
