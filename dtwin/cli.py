@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import gc
 import io
 import json
 import os
@@ -98,6 +99,8 @@ def main() -> None:
     quiet_environment()
     # What a library begins by -m would import what lies where the command was typed: an mlflow.py on a share.
     os.environ.setdefault("PYTHONSAFEPATH", "1")
+    # Cells of a table by the million are in no cycles: to look for some took a third of the time of a large file.
+    gc.set_threshold(100_000, 50, 50)
     _open_closed_streams()
     if isinstance(sys.stdout, io.TextIOWrapper):
         # A terminal of few letters has no µ; what it cannot show is told as on stderr.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 import unicodedata
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
@@ -256,11 +256,13 @@ def require_told_apart(columns: Sequence[Column], body: Sequence[Sequence[str]],
 def converted(columns: Sequence[Column], body: Sequence[Sequence[str]]) -> list[list[str]]:
     """Return a table of the columns that have a name here, with that name and in its unit; empty where a cell is no number."""
     kept = [(n, column) for n, column in enumerate(columns) if column.name]
-    table = [[column.name for _, column in kept]]
-    for row in body:
-        cells = [(row[n].strip() if n < len(row) else "", column) for n, column in kept]
-        table.append([f"{c.factor * (float(cell) - c.zero):.12g}" if is_number(cell) else "" for cell, c in cells])
-    return table
+
+    def cells(n: int, column: Column) -> Iterator[str]:
+        for row in body:
+            value = number_or_none(row[n]) if n < len(row) else None
+            yield "" if value is None else f"{column.factor * (value - column.zero):.12g}"
+
+    return [[column.name for _, column in kept], *map(list, zip(*(cells(*one) for one in kept), strict=True))]
 
 
 def _has_gaps(row: Sequence[str]) -> bool:

@@ -189,13 +189,14 @@ def _grouped(rows: list[list[str]]) -> str:
     ``1.234,5`` and ``1,234.5`` tell it alone. So do ``1.200`` in a column with ``800`` where no point stands elsewhere, and ``2.000`` and
     ``4.500``, where the table writes decimals by the other sign, too.
     """
-    told = {sign for cell in _having(",", rows) for sign, form in _GROUPS.items() if form.fullmatch(cell)}
+    both = (cell for cell in _having(",", rows) if "." in cell)
+    told = {sign for cell in both for sign, form in _GROUPS.items() if form.fullmatch(cell)}
     if told:
         sign = told.pop()
         # A number such as 20.5 beside 1.234,5 says that the other sign parts decimals, too.
         other = "." if sign == "comma" else ","
-        both = any(_SIMPLE.fullmatch(cell) and not _WHOLE[sign].fullmatch(cell) for cell in _having(other, rows))
-        return "" if told or both else sign
+        mixed = any(_SIMPLE.fullmatch(cell) and not _WHOLE[sign].fullmatch(cell) for cell in _having(other, rows))
+        return "" if told or mixed else sign
     for sign, form in _WHOLE.items():
         mark, other = (",", ".") if sign == "comma" else (".", ",")
         if any(_NUMBER.fullmatch(cell) and not form.fullmatch(cell) for cell in _having(other, rows)):
