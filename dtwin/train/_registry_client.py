@@ -38,7 +38,7 @@ _Found = TypeVar("_Found")
 def client_of(home: Home, *, reads: bool = False) -> MlflowClient:
     """Return MLflow's client of a home.
 
-    ``reads``: nothing will be written, so the home need not be writable.
+    ``reads``: nothing will be written, so the home need not be writable; a registry that is not there is an empty one.
     Raises ``StoreError`` when its database cannot be written, or does not answer.
     """
     logging.getLogger("mlflow").setLevel(logging.WARNING)
@@ -47,7 +47,9 @@ def client_of(home: Home, *, reads: bool = False) -> MlflowClient:
     logging.getLogger("mlflow.store.db.utils").setLevel(logging.CRITICAL)
     uri = home.mlflow_uri
     database = Path(uri.removeprefix("sqlite:///")) if uri.startswith("sqlite:///") else None
-    only_reads = reads and database is not None and database.is_file() and not os.access(database.parent, os.W_OK)
+    if reads and database is not None and not database.exists():
+        uri, database = "sqlite://", None
+    only_reads = reads and database is not None and not os.access(database.parent, os.W_OK)
     if database is not None:
         try:
             if not only_reads:
@@ -70,7 +72,7 @@ def client_of(home: Home, *, reads: bool = False) -> MlflowClient:
         os.environ.setdefault("MLFLOW_ALLOW_HTTP_REDIRECTS", "false")
         _require_server(uri)
     # The first client of an empty database makes its tables; two at once would both make them.
-    alone = uri.startswith(("sqlite", "postgresql")) and not only_reads
+    alone = uri.startswith(("sqlite:///", "postgresql")) and not only_reads
     with ExitStack() as held:
         if alone:
             held.enter_context(locked(home.made().root / "locks" / "registry-tables.lock", wait=True))

@@ -117,6 +117,12 @@ def test_a_home_that_can_only_be_read_tells_its_models_and_is_backed_up(
     assert refused.value.code == "registry.write"
 
 
+def test_to_read_a_registry_that_is_not_there_makes_none() -> None:
+    listed = CliRunner().invoke(app, ["models"])
+    assert (listed.exit_code, home().root.exists()) == (0, False), listed.output
+    assert listed.output.startswith("no model is registered yet")
+
+
 def test_a_home_that_is_opened_by_a_link_keeps_the_names_of_its_files(tmp_path: Path) -> None:
     home = Home(tmp_path / "home")
     with Registry(home).open_run("one", {}) as run_id:
