@@ -10,7 +10,7 @@ import numpy as np
 from dtwin.acquire.quality import judge_clock, judge_places
 from dtwin.kinds.volumetric._identify import Balls
 from dtwin.kinds.volumetric._plan import FEWEST_TABLE_BALLS, MOST_DRIFT_UM
-from dtwin.kinds.volumetric._session import PLAUSIBLE_C, balls_of, hours_of, hours_told
+from dtwin.kinds.volumetric._session import PLAUSIBLE_C, balls_of, hours_of, hours_told, poses_told
 from dtwin.kinds.volumetric._spoilt import spoilt_findings, spoilt_in, stroke_mm
 from dtwin.schema import Campaign, Finding, Floats, Run, SignalGroup
 from dtwin.units import UM_PER_MM, shown_number
@@ -27,9 +27,10 @@ _BEYOND = 0.05
 def with_strokes(run: Run, campaign: Campaign) -> Run:
     """Return a cycle with what is wrong with its places beside the strokes that the campaign states, where it does.
 
-    Raises ``InputError`` when a stroke that is stated is none: nothing could be fitted later.
+    Raises ``InputError`` when a stroke, or what is stated of poses, is none: nothing could be fitted later.
     """
     where = f"campaign {campaign.name}"
+    poses_told(campaign.machine_geometry, where)
     strokes = {
         axis: stroke_mm(campaign.machine_geometry, axis, where)
         for axis in "xyz"

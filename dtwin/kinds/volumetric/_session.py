@@ -18,6 +18,7 @@ from dtwin.kinds.volumetric._spoilt import spoilt_in, stroke_mm
 from dtwin.lake.store import Lake
 from dtwin.progress import Progress
 from dtwin.schema import Floats, Run, of_one_way
+from dtwin.units import is_number
 
 _SENSORS = "thermocouples"
 PLAUSIBLE_C = (-20.0, 90.0)
@@ -150,9 +151,36 @@ def _artefact(geometry: Mapping[str, Any], where: str) -> Artefact:
             allowed="XZY",
         )
     strokes: Strokes = {axis: stroke_mm(geometry, axis, where) for axis in "xyz"}
-    held_out = tuple(int(pose) for pose in geometry.get("held_out_poses", ()))
-    repeat = float(geometry.get("pose_repeat_um", np.inf))
-    return Artefact(strokes, held_out, repeat)
+    return Artefact(strokes, *poses_told(geometry, where))
+
+
+def poses_told(geometry: Mapping[str, Any], where: str) -> tuple[tuple[int, ...], float]:
+    """Return the poses that are held out, and how well the array comes back to a pose, um; infinity where that is not told."""
+    held_out, repeat_um = geometry.get("held_out_poses", []), geometry.get("pose_repeat_um", np.inf)
+    for name, value, sound, allowed in (
+        (
+            "held_out_poses",
+            held_out,
+            isinstance(held_out, list | tuple) and all(is_number(pose) and pose == int(pose) for pose in held_out),
+            "whole numbers as pose_1 has them, such as [3, 6]",
+        ),
+        (
+            "pose_repeat_um",
+            repeat_um,
+            repeat_um == np.inf or (is_number(repeat_um) and repeat_um > 0.0),
+            "a number of µm above 0",
+        ),
+    ):
+        if not sound:
+            raise InputError(
+                "a setting of the ball array cannot be read",
+                code="volumetric.poses",
+                where=f"{where} machine_geometry.{name}",
+                got=str(value)[:60],
+                allowed=allowed,
+                hint=f"dtwin amend NAME --set 'machine_geometry.{name}=…' --because WHY changes it in the lake",
+            )
+    return tuple(map(int, held_out)), float(repeat_um)
 
 
 def hours_of(runs: Sequence[Run]) -> dict[str, float]:

@@ -180,6 +180,23 @@ def test_places_beyond_the_stroke_are_an_error(scale: float, said: str) -> None:
     assert all(said in f.message for f in found)
 
 
+@pytest.mark.parametrize(
+    "told",
+    [{"held_out_poses": v} for v in (["x"], "x", 3, [3.5], [True], [1e400])]
+    + [{"pose_repeat_um": v} for v in (0, "x")],
+    ids=str,
+)
+def test_poses_that_are_none_are_refused_before_the_lake_has_them(told: dict[str, object]) -> None:
+    with pytest.raises(InputError) as refused:
+        KIND.completed(
+            Run(RunMeta("c0", kind="volumetric"), {}), Campaign("c", "m", "volumetric", machine_geometry=told)
+        )
+    assert (refused.value.code, refused.value.where) == (
+        "volumetric.poses",
+        f"campaign c machine_geometry.{next(iter(told))}",
+    )
+
+
 def test_a_stroke_that_is_one_number_is_refused_before_the_lake_has_it() -> None:
     (run, *_) = runs_of(measured())
     with pytest.raises(InputError, match="stroke") as refused:
