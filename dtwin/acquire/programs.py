@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 
-from dtwin.plan import PlannedTest, arc_deg
-from dtwin.schema import Direction
+from dtwin.plan import PlannedTest, arc_deg, top_deg
+from dtwin.schema import Direction, Plane
 
 _FEED_IN_MM = 1.5
 # Of a UR: the centre of the circles in the base frame, and the length of the tool along the flange's z.
@@ -19,7 +19,7 @@ _WORD = {"XY": ("G17", "X", "Y", "I", "J"), "YZ": ("G19", "Y", "Z", "J", "K"), "
 def gcode(test: PlannedTest, directions: tuple[Direction, ...] = ("CCW", "CW")) -> str:
     """Return the ball-bar program for a CNC, centre at the work zero.
 
-    ``test``: full turns in XY; in upright planes half a turn with 5 degrees at each end.
+    ``test``: full turns in XY; in upright planes half a turn over the top with 5 degrees at each end.
     ``directions``: directions in the order they are run.
     """
     plane_code, a, b, i, j = _WORD[test.plane]
@@ -43,9 +43,14 @@ def gcode(test: PlannedTest, directions: tuple[Direction, ...] = ("CCW", "CW")) 
     return "\n".join([*lines, "M30", "%", ""])
 
 
+def _ends_deg(plane: Plane) -> tuple[float, float]:
+    """Return the first and the last angle of an upright arc, counter-clockwise."""
+    return top_deg(plane) - arc_deg(plane) / 2.0, top_deg(plane) + arc_deg(plane) / 2.0
+
+
 def _half_turn(test: PlannedTest, direction: Direction, code: str) -> list[str]:
     _, a, b, i, j = _WORD[test.plane]
-    begin, end = (-5.0, 185.0) if direction == "CCW" else (185.0, -5.0)
+    begin, end = _ends_deg(test.plane)[:: 1 if direction == "CCW" else -1]
 
     def point(angle_deg: float, radius: float) -> tuple[float, float]:
         angle = math.radians(angle_deg)
@@ -82,8 +87,8 @@ def urscript(test: PlannedTest, directions: tuple[Direction, ...] = ("CCW", "CW"
     lines = [f"def {test.test_id}():", f"  set_tcp(p[0,0,{_UR_TCP_MM / 1000.0:z.4f},0,0,0])"]
     for direction in directions:
         sign = 1 if direction == "CCW" else -1
-        begin = 0.0 if test.plane == "XY" else (-5.0 if sign > 0 else 185.0)
-        arcs = [180.0] * 4 if test.plane == "XY" else [190.0]
+        begin = 0.0 if test.plane == "XY" else _ends_deg(test.plane)[0 if sign > 0 else 1]
+        arcs = [180.0] * 4 if test.plane == "XY" else [arc_deg(test.plane)]
         lines += [
             f"  movel({pose(begin, test.radius_mm + _FEED_IN_MM)},1.2,0.25)",
             "  sleep(2.5)",

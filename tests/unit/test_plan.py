@@ -111,6 +111,10 @@ def test_programs_stay_on_the_circle(plane: str, letters: str) -> None:
     assert gcode(test).count("G3 ") == gcode(test).count("G2 ") > 0
     # X of a lathe may be a diameter: its circle would be an ellipse.
     assert ("diameter programming off" in gcode(test)) is (plane == "ZX")
+    # Upright, the spindle stays above the table.
+    assert plane == "XY" or min(point[letters.index("Z")] for point in arc_points(gcode(test), letters)) > -10.0
     script = urscript(test)
     assert script.startswith("def t001():")
+    heights = [float(height) for height in re.findall(r"p\[[^,]+,[^,]+,([^,]+)", script.partition("movel")[2])]
+    assert plane == "XY" or min(heights) > 0.065
     assert script.count("movec") == (8 if plane == "XY" else 2)
