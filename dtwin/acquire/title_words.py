@@ -10,8 +10,11 @@ from dtwin.errors import InputError
 from dtwin.units import with_shares
 
 _INWARD = r"inwards?|inside|smaller( radius)?|(nach )?innen|kleiner\w*( radius)?"
+# Beside words alone it may be what a title is about: machine - laser test.
+_SHOWN_LESS_MEASURED = r"(machine|controller|encoder|scale|dro|display|maschine|steuerung|geber|ma(ß|ss)stab)\s*([-\u2212\u2013]|minus)\s*(laser|interferomet\w+|reference|referenz)"
 REVERSED = re.compile(
-    r"(nominale?|target|command(ed)?|cmd|demand(ed)?|set ?point|soll\w*|ziel|cible|consigne|objetivo|obiettivo|theor\w+|指令|目標)\s*([-\u2212\u2013]|minus|moins|meno|menos)\s*(act(ual)?\b|meas(ured)?\b|ist|mesur|misur|medid|real|réel|reading|測定|実測)(?!\w*[\s-]*(vergleich|abgleich|compar))"
+    r"(nominale?|target|command(ed)?|cmd|demand(ed)?|set ?point|soll\w*|ziel|cible|consigne|objetivo|obiettivo|theor\w+|指令|目標)\s*([-\u2212\u2013]|minus|moins|meno|menos)\s*(act(ual)?\b|meas(ured)?\b|ist|mesur|misur|medid|real|réel|reading|laser|interferomet|測定|実測)(?!\w*[\s-]*(vergleich|abgleich|compar))"
+    rf"|[=:(]\s*{_SHOWN_LESS_MEASURED}|(?<![^\W_]){_SHOWN_LESS_MEASURED}[^\[(]*[\[(]\s*([num\u00b5\u03bc]?m|mil|in(ch(es)?)?)\s*[\])]"
     rf"|({_INWARD})\W*(is|are|ist|=)?\W*positiv|positiv\w*\W*(is|means|ist|bedeutet|=)?\W*({_INWARD})"
     r"|\b(sign|vorzeichen)(?![^\W_])\W*(convention\W*)?(is |ist )?(invert|revers|negat|opposite|flipped|umgekehrt|gedreht)|(?<![^\W_])(inverted|invertiert|negated)(?![^\W_])",
     re.I,

@@ -26,6 +26,7 @@ from dtwin.positioning.table_heads import (
     is_deviation,
     is_index,
     is_length,
+    is_opposite,
     is_row_of_units,
     is_unit,
     long_of,
@@ -310,6 +311,9 @@ def _of_heads(heads: Sequence[str], below: Sequence[Sequence[str]]) -> list[_Rep
             others.setdefault(words or "readings", []).append(i)
         elif name and is_length("", unit[i]) == is_length("", unit[target] or unit[i]):
             unknown.setdefault(name, []).append(i)
+    if any(is_opposite(heads[i]) for found in named.values() for i in found):
+        # Two instruments in one head, the axis minus the laser: refused as it is read.
+        return []
     if named and SURELY_TARGET.match(heads[target]):
         # Beside targets positions were read, by whatever.
         for i in (i for i, head in enumerate(heads) if i != target and _PLACES.match(head) and is_unit(unit[i])):

@@ -69,7 +69,7 @@ def way_of(text: str, *, ones: bool = False) -> str | None:
 
     ``ones``: a bare 1 is forward, as beside -1.
     """
-    told = "+1" if ones and text.strip() == "1" else text.strip().lower()
+    told = "+1" if ones and re.fullmatch(r"1([.,]0+)?", text.strip()) else text.strip().lower()
     if _DIGITS.fullmatch(told):
         # Of a table on its side most heads are numbers.
         return SIGNS.get(told[:1])

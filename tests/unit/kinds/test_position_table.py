@@ -539,13 +539,14 @@ def test_heads_of_another_test_are_refused(tmp_path: Path) -> None:
         read_position_table(path)
 
 
-def test_directions_as_one_and_minus_one(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("one", "point"), [("1", "."), ("1.0000", "."), ("1,0", ",")])
+def test_directions_as_one_and_minus_one(tmp_path: Path, one: str, point: str) -> None:
     path = tmp_path / "a.csv"
-    rows = [f"{100 * n};{way};1;{n if way > 0 else 5}" for way in (1, -1) for n in range(5)]
+    rows = [f"{100 * n};{way};1;{n if way == one else 5}{point}0" for way in (one, f"-{one}") for n in range(5)]
     path.write_text("\n".join(["Target;Direction;Cycle;Deviation [µm]", *rows]), encoding="utf-8")
     found = read_position_table(path)
     assert found.forward_um.ravel().tolist() == [0, 1, 2, 3, 4]
-    path.write_text(path.read_text("utf-8").replace(";-1;", ";2;"), encoding="utf-8")
+    path.write_text(path.read_text("utf-8").replace(f";-{one};", ";2;"), encoding="utf-8")
     with pytest.raises(InputError, match="without a direction"):
         read_position_table(path)
 
@@ -754,6 +755,9 @@ def test_readings_above_the_first_title_of_a_direction_are_not_dropped(tmp_path:
         ("target_mm,direction,error_um,error_um\n0,forward,1,5\n9,forward,2,7", "position_table.twice"),
         ("target_mm,target_mm,direction,error_um\n0,0,forward,1\n8,9,forward,2", "position_table.twice"),
         ("Error = target - actual\nTarget [mm],fwd 1 [µm],rev 1 [µm]\n0,1,2\n9,2,3", "position_table.sign"),
+        ("Error = target - laser\nTarget [mm],fwd 1 [µm],rev 1 [µm]\n0,1,2\n9,2,3", "position_table.sign"),
+        ("Error = machine - laser\nTarget [mm],fwd 1 [µm],rev 1 [µm]\n0,1,2\n9,2,3", "position_table.sign"),
+        ("Target [mm],encoder-laser fwd 1 [µm],encoder-laser rev 1 [µm]\n0,1,2\n9,2,3", "position_table.sign"),
         ("Target Ø [mm],fwd 1 [µm],rev 1 [µm]\n0,1,2\n9,2,3", "position_table.diameter"),
         ("Soll-Durchmesser [mm],hin 1 [µm],rück 1 [µm]\n0,1,2\n9,2,3", "position_table.diameter"),
         ("Target,fwd 1 (arc sec),rev 1 (arc sec)\n0,1,2\n90,2,3", "position_table.unit"),
