@@ -62,7 +62,9 @@ def _number_of(cell: str, where: str) -> float:
             where=where,
             got=cell[:40] or "nothing",
             allowed="a finite number; an empty cell, -, nan or n/a where nothing was read; angles such as 12°30'05\"",
-            hint="units of single numbers belong into the heads, such as: forward 1 [″], forward 1 [µm]",
+            hint="units of single numbers belong into the heads, such as: forward 1 [″], forward 1 [µm]"
+            if cell.strip()
+            else "a target, or a cycle, of merged cells belongs into each of their rows",
         )
     return value
 

@@ -364,6 +364,9 @@ def test_what_was_not_read_is_left_out_and_what_is_no_number_is_refused(tmp_path
         with pytest.raises(InputError, match="not a number") as refused:
             read_position_table(path)
         assert "row 4 below the heads" in str(refused.value.where)
+    path.write_text("Target [mm],Direction,Error [µm]\n0,+,1\n,-,2\n9,+,1\n,-,2\n", encoding="utf-8")
+    with pytest.raises(InputError, match="merged cells"):
+        read_position_table(path)
 
 
 @pytest.mark.parametrize("sign", ["correction", "Korrektur", "nominal-actual", "soll - ist"])
