@@ -101,12 +101,11 @@ def training_plan(
     planes: Sequence[str] = ("XY", "YZ", "ZX"),
     repeats: int = 3,
     name: str = "training",
-    machine: str = "virtual-cobot",
     seed: int = 1,
 ) -> Plan:
     """Return the training campaign of the demo: 81 tests, 162 runs."""
     document = {
-        "plan": {"name": name, "machine": machine, "seed": seed},
+        "plan": {"name": name, "machine": "virtual-cobot", "seed": seed},
         "grid": {
             "radius_mm": list(radii_mm),
             "feed_mm_min": list(feeds_mm_min),

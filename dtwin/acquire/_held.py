@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -41,11 +41,6 @@ class Observed:
     time_s: float
     value: float | str
     alarm: bool = False
-
-
-def replace_time(one: Observed, time_s: float) -> Observed:
-    """Return what was observed as seen at a time."""
-    return replace(one, time_s=time_s)
 
 
 class Held:

@@ -9,9 +9,10 @@ import queue
 import ssl
 import time
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from dtwin.acquire._held import Held, Observed, replace_time
+from dtwin.acquire._held import Held, Observed
 from dtwin.acquire._mtconnect_documents import seconds
 from dtwin.acquire.instrument import Description, Reading
 from dtwin.acquire.xmlsafe import number_or_none
@@ -259,7 +260,7 @@ class MqttRecorder(OpenAndClose):
                     self._retained[topic] = observed
                     continue
                 held = [one for kept in self._retained.values() for one in kept]
-                observed = [*(replace_time(one, observed[0].time_s) for one in held), *observed]
+                observed = [*(replace(one, time_s=observed[0].time_s) for one in held), *observed]
             elif self._sender_time:
                 observed = self._as_before(topic, observed)
             if not math.isnan(self._away_s):
@@ -278,7 +279,7 @@ class MqttRecorder(OpenAndClose):
         if told_s - step_s - expected_s > _CLOCK_SET_S:
             self._set_s[topic] = step_s = told_s - expected_s
             self._held.say(f"{topic}: the sender's clock is {step_s:+z.0f} s ahead; times run on as before")
-        return [replace_time(one, one.time_s - step_s) for one in observed]
+        return [replace(one, time_s=one.time_s - step_s) for one in observed]
 
     def _known_s(self) -> float:
         """Return until when everything has been heard: by the sender's clock as far as it is known here."""

@@ -14,7 +14,7 @@ from threading import Thread
 from typing import Any
 from urllib.parse import quote, urlencode, urlsplit
 
-from dtwin.acquire._held import Held, Observed, replace_time
+from dtwin.acquire._held import Held, Observed
 from dtwin.acquire._mtconnect_documents import Header, Item, OutOfRange, read_probe, read_streams
 from dtwin.acquire.instrument import Description, Reading
 from dtwin.errors import DeviceError, InputError
@@ -104,7 +104,7 @@ class MTConnectRecorder(OpenAndClose):
         header, observed = self._streams(self._answer("current"))
         # What has held for hours holds at the beginning.
         held.begin(header.created_s)
-        held.take(replace_time(one, header.created_s) for one in observed)
+        held.take(replace(one, time_s=header.created_s) for one in observed)
         self._next, self._instance, self._known_s = header.next, header.instance, header.created_s
         self._running = True
 
@@ -176,7 +176,7 @@ class MTConnectRecorder(OpenAndClose):
         """Go on with what holds now, after an agent that counts anew or no longer has what is next; tell the gap."""
         header, observed = self._patiently("current")
         held.lose(header.created_s, _RESTARTED if header.instance != self._instance else _OVERRUN)
-        held.take(replace_time(one, header.created_s) for one in observed)
+        held.take(replace(one, time_s=header.created_s) for one in observed)
         self._next, self._instance, self._known_s = header.next, header.instance, header.created_s
 
     def _streams(self, answer: bytes) -> tuple[Header, list[Observed]]:
@@ -192,7 +192,7 @@ class MTConnectRecorder(OpenAndClose):
             self._sink().say(f"the agent's clock was set by {step_s:+z.0f} s; times run on as before")
         header = replace(header, created_s=header.created_s - self._set_s)
         self._heard_s, self._created_s = now_s, header.created_s
-        return header, [replace_time(one, self._as_before(one.time_s)) for one in observed]
+        return header, [replace(one, time_s=self._as_before(one.time_s)) for one in observed]
 
     def _as_before(self, time_s: float) -> float:
         """Return a time by the clock as it was at the beginning; an answer may hold times of before and after it was set."""

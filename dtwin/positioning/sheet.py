@@ -52,24 +52,15 @@ def positioning_sheet(runs: Sequence[Run], asked: _Asked, uncertain: _Uncertain,
     ``asked``: returns what the standard asks for and a test has not, and what else is to be noted of it.
     ``uncertain``: returns what makes a figure of a test uncertain, by its symbol.
     """
-    axes: dict[str, dict[Ways, list[Run]]] = {}
-    for run in runs:
-        of_axis = axes.setdefault(str(run.meta.condition.get("axis", "Z")), {})
-        of_axis.setdefault(ways_of(run), []).append(run)
+    tests = by_axis(runs)
+    evaluated = {id(run) for _, alike in tests for run in alike}
     parts: list[Part] = []
-    notes: list[str] = []
-    for axis, by_ways in sorted(axes.items()):
-        both = by_ways.get(BOTH)
-        if both is not None:
-            alone = [run for ways, members in by_ways.items() if ways != BOTH for run in members]
-            notes += [f"{run.meta.run_id} is not evaluated: it has one direction only." for run in alone]
-            by_ways = {BOTH: both}
-        for ways, every in sorted(by_ways.items()):
-            part, said = _evaluated(
-                f"axis {axis}" + ("" if ways == BOTH else f", {ways[0]} only"), every, ways, asked, uncertain, scale
-            )
-            parts += [] if part is None else [part]
-            notes += said
+    notes = [f"{r.meta.run_id} is not evaluated: it has one direction only." for r in runs if id(r) not in evaluated]
+    for ways, every in sorted(tests, key=lambda test: (str(test[1][0].meta.condition.get("axis", "Z")), test[0])):
+        title = f"axis {every[0].meta.condition.get('axis', 'Z')}" + ("" if ways == BOTH else f", {ways[0]} only")
+        part, said = _evaluated(title, every, ways, asked, uncertain, scale)
+        parts += [] if part is None else [part]
+        notes += said
     basis = "the figures of tests made again from what runs differ by as wholes and at each target (unit of replication: the run)"
     return Sheet("ISO 230-2, positioning", "A", tuple(parts), basis, tuple(notes), unit=scale.figure)
 

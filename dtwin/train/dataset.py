@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from dtwin.errors import InputError
 from dtwin.features.infeed import align_infeed
-from dtwin.features.motion import PATH_INPUTS, STATE_FIELDS, PathInputs
+from dtwin.features.motion import STATE_FIELDS, PathInputs
 from dtwin.lake.store import Lake
 from dtwin.progress import Progress, silent
 from dtwin.schema import PLANES, Campaign, Floats, Run, RunMeta, SignalGroup
@@ -228,11 +228,6 @@ def _commanded_deviation_um(states: Floats, meta: RunMeta) -> Floats:
     a = states[:, _INDEX[f"target_tcp_{first}_mm"]] - states[:, _INDEX[f"centre_{first}_mm"]]
     b = states[:, _INDEX[f"target_tcp_{second}_mm"]] - states[:, _INDEX[f"centre_{second}_mm"]]
     return np.asarray((np.hypot(a, b) - float(meta.radius_mm or 0.0)) * 1000.0)
-
-
-def input_column(name: str) -> int:
-    """Return the column of a path input."""
-    return PATH_INPUTS.index(name)
 
 
 def require_uncorrected(campaign: Campaign) -> None:

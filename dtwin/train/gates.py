@@ -21,6 +21,7 @@ from dtwin.train.results import condition_name
 
 _LATENCY_BUDGET_US = 100.0
 _MIN_R2 = 0.2
+_LEAST_SLOW_R2 = 0.5
 # An error of less than so many noise floors need not fall, it must only not grow.
 _ERROR_FLOORS = 3.0
 _LEAST_SHARE = 0.5
@@ -44,6 +45,27 @@ def offline_gates(bundle: Bundle, metrics: Mapping[str, float]) -> list[Verdict]
         _sign_and_frame(bundle),
         bounded_output(bundle),
         _contract(bundle),
+        latency_gate(metrics),
+    ]
+
+
+def slow_gates(bundle: Bundle, metrics: Mapping[str, float], left_out: str, said: str) -> list[Verdict]:
+    """Judge a bundle of what heat moves by everything that needs no other campaign.
+
+    ``metrics``: what training logged: scores of what was left out, latency.
+    ``left_out``, ``said``: what was left out, as scores name it, and in words.
+    """
+    r2 = metrics.get(f"leave_{left_out}_out.r2", float("nan"))
+    worst = metrics.get(f"leave_{left_out}_out.worst_slice_ratio", float("inf"))
+    return [
+        Verdict(f"held-out {said}", r2 >= _LEAST_SLOW_R2, f"R² {r2:z.3f}; at least {_LEAST_SLOW_R2}"),
+        Verdict(
+            "no slice worse than no correction",
+            worst < 1.0,
+            f"the worst of the {said} keeps {100 * worst:z.0f} % of its error",
+        ),
+        bounded_output(bundle),
+        vectors_proved(bundle),
         latency_gate(metrics),
     ]
 

@@ -11,7 +11,7 @@ from dtwin.features.alignment import align_stops
 from dtwin.features.motion import PATH_INPUTS
 from dtwin.features.windows import WindowContract, WindowFeatures, batch_features
 from dtwin.schema import Floats
-from dtwin.train.dataset import TICK_HZ, TickRun, input_column
+from dtwin.train.dataset import TICK_HZ, TickRun
 from dtwin.train.rows import Rows
 
 WINDOW_FEATURES = ("rms", "peak_amplitude", "mean_frequency", "band_power")
@@ -107,7 +107,7 @@ def _accelerometer_lag_s(run: TickRun, contract: WindowContract) -> float:
     """Return controller time minus accelerometer time, by the stops; 0 when they show none."""
     if run.accelerometers is None:
         return 0.0
-    first = input_column("acceleration_x_mm_s2")
+    first = PATH_INPUTS.index("acceleration_x_mm_s2")
     acceleration = np.linalg.norm(run.inputs[::4, first : first + 3].astype(float), axis=1)
     wrist = np.asarray(run.accelerometers.columns[contract.channels[0]], dtype=float)
     try:

@@ -6,10 +6,11 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from dtwin.features.motion import PATH_INPUTS
 from dtwin.kinds.circular._library import FLANK_RAD, Gear, Mode
 from dtwin.progress import Progress, silent
 from dtwin.schema import Floats
-from dtwin.train.dataset import TickRun, input_column
+from dtwin.train.dataset import TickRun
 from dtwin.train.rows import Rows
 
 _COARSE = np.arange(20.0, 460.0, 4.0)
@@ -49,7 +50,7 @@ def find_gears(rows: Rows, explained: Callable[[Sequence[Gear]], Floats], *, pro
 
 def _joint_state(rows: Rows) -> tuple[Floats, Floats, Floats]:
     """Return joint angles, levers and loaded flanks at the rows, shapes (n, 6)."""
-    first_q, first_lever = input_column("q1_rad"), input_column("lever_1_mm_rad")
+    first_q, first_lever = PATH_INPUTS.index("q1_rad"), PATH_INPUTS.index("lever_1_mm_rad")
     q = np.concatenate([run.inputs[run.arc, first_q : first_q + 6] for run in rows.runs])
     lever = np.concatenate([run.inputs[run.arc, first_lever : first_lever + 6] for run in rows.runs])
     flank = np.concatenate([_flank(run.inputs[:, first_q : first_q + 6].astype(float))[run.arc] for run in rows.runs])
@@ -138,10 +139,10 @@ def _after_start(rows: Rows) -> tuple[Floats, Floats]:
 
 
 def _run_after_start(run: TickRun) -> tuple[Floats, Floats]:
-    since = run.inputs[:, input_column("segment_time_s")].astype(float)
+    since = run.inputs[:, PATH_INPUTS.index("segment_time_s")].astype(float)
     start = np.maximum.accumulate(np.where(np.diff(since, prepend=1.0) < 0, np.arange(since.size), 0))[run.arc]
-    q1 = run.inputs[:, input_column("q1_rad")].astype(float)
-    radial, tangent = input_column("radial_x_1"), input_column("tangent_x_1")
+    q1 = run.inputs[:, PATH_INPUTS.index("q1_rad")].astype(float)
+    radial, tangent = PATH_INPUTS.index("radial_x_1"), PATH_INPUTS.index("tangent_x_1")
     seen = _turned(run.inputs[run.arc, radial : radial + 3].astype(float), q1[run.arc])
     kick = _turned(run.inputs[start + 1, tangent : tangent + 3].astype(float), q1[start + 1])
     feed = float(run.meta.feed_mm_min or 0.0) / 1000.0

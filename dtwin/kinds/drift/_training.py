@@ -25,13 +25,12 @@ from dtwin.serve.interface import Input, Output, Provenance, SafetyLimits, State
 from dtwin.serve.runtime import CompiledBundle
 from dtwin.statistics import rms
 from dtwin.train.champion_error import ChampionError, HeldOut, as_served, held_out, require_inputs, require_trained
-from dtwin.train.gates import Verdict, bounded_output, latency_gate, vectors_proved
+from dtwin.train.gates import Verdict, slow_gates
 from dtwin.train.latency import bundle_latency
 from dtwin.train.results import Candidate, Scores, Training, TrainingReport
 from dtwin.train.symbolic import Engine
 
 _HELD_OUT = "stretches"
-_LEAST_R2 = 0.5
 _BEYOND_C = 2.0
 _CLAMP_SHARE = 1.25
 _TIME, _LAST = "timestamp_s", "last_s"
@@ -105,15 +104,7 @@ def train_drift(
 
 def drift_gates(bundle: Bundle, metrics: Mapping[str, float]) -> list[Verdict]:
     """Judge a bundle by everything that needs no other log."""
-    r2 = metrics.get(f"leave_{_HELD_OUT}_out.r2", float("nan"))
-    worst = metrics.get(f"leave_{_HELD_OUT}_out.worst_slice_ratio", float("inf"))
-    return [
-        Verdict("held-out stretches of time", r2 >= _LEAST_R2, f"R² {r2:z.3f}; at least {_LEAST_R2}"),
-        Verdict("no stretch worse than no correction", worst < 1.0, f"the worst keeps {100 * worst:z.0f} %"),
-        bounded_output(bundle),
-        vectors_proved(bundle),
-        latency_gate(metrics),
-    ]
+    return slow_gates(bundle, metrics, _HELD_OUT, "stretches of time")
 
 
 def _drift_bundle(

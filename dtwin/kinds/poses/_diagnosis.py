@@ -50,6 +50,7 @@ _WILD, _MOST_FAR = 8.0, 8
 _SURELY, _LIKELY = 1e-3, 0.05
 # An effect that takes less than this share of what no effect explains, RMS, may be a part of it: of those on outside arms 9 of 22 were false, of larger ones 4 of 85.
 _SMALL = 0.5
+_FOLDS = 4
 
 
 @dataclass(frozen=True)
@@ -195,15 +196,15 @@ def selected(grams: Grams) -> tuple[Term, ...]:
         seen.append(frozenset(chosen))
 
 
-def nested_mean_mm(grams: Grams, folds: int = 4) -> float:
+def nested_mean_mm(grams: Grams) -> float:
     """Return the mean error on blocks that were held out of the choice of terms as well as of the fit.
 
     Blocks are dealt to the folds in turn; for each fold the terms are chosen again without it.
     """
     blocks = np.arange(len(grams.count))
     total = 0.0
-    for fold in range(folds):
-        out = blocks % folds == fold
+    for fold in range(_FOLDS):
+        out = blocks % _FOLDS == fold
         rest = grams.without(blocks[out])
         left = rest.left_elsewhere_mm(grams.series.chosen(selected(rest)), np.isin(grams.series.block, blocks[out]))
         total += float(np.linalg.norm(left, axis=1).sum())

@@ -23,7 +23,7 @@ from dtwin.serve.bundle_file import create_bundle
 from dtwin.serve.interface import Input, Output, Provenance, SafetyLimits
 from dtwin.statistics import rms
 from dtwin.train.champion_error import ChampionError, HeldOut, held_out
-from dtwin.train.gates import Verdict, bounded_output, latency_gate, vectors_proved
+from dtwin.train.gates import Verdict, slow_gates
 from dtwin.train.latency import bundle_latency
 from dtwin.train.results import Candidate, Scores, Training, TrainingReport
 from dtwin.train.symbolic import Engine
@@ -189,27 +189,9 @@ def _readable(model: ThermalModel) -> str:
     return f"{model.name} = {terms or '0'} (rises since the reference)"
 
 
-_LEAST_R2 = 0.5
-
-
 def volumetric_gates(bundle: Bundle, metrics: Mapping[str, float]) -> list[Verdict]:
-    """Judge a bundle for heat by everything that needs no other campaign.
-
-    ``metrics``: what training logged: scores of hours left out, latency.
-    """
-    r2 = metrics.get("leave_hours_out.r2", float("nan"))
-    worst = metrics.get("leave_hours_out.worst_slice_ratio", float("inf"))
-    return [
-        Verdict("held-out hours", r2 >= _LEAST_R2, f"R² {r2:z.3f}; at least {_LEAST_R2}"),
-        Verdict(
-            "no slice worse than no correction",
-            worst < 1.0,
-            f"the worst span of hours keeps {100 * worst:z.0f} % of its error",
-        ),
-        bounded_output(bundle),
-        vectors_proved(bundle),
-        latency_gate(metrics),
-    ]
+    """Judge a bundle for heat by everything that needs no other campaign."""
+    return slow_gates(bundle, metrics, _HELD_OUT, "hours")
 
 
 _POSITION_HZ, _TEMPERATURE_HZ = 100.0, 1.0 / 30.0

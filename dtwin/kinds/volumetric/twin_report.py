@@ -24,6 +24,7 @@ from dtwin.report.text import micrometres, table
 from dtwin.schema import Run
 
 _SEVERITY = {"nothing_missing": "info", "unknown_effect": "error"}
+_SHOWN = 6
 _UNIT = "unit of replication: the cycle, fewer where heat lasts"
 
 
@@ -102,8 +103,8 @@ def _day_table(result: Mapping[str, Any]) -> Table:
     return Table(("hours", "cycles", "before, µm", "after, µm"), rows)
 
 
-def _motion_table(result: Mapping[str, Any], most: int = 6) -> Table:
-    worst = sorted(result["motions"], key=lambda m: -m["rms_after_um"])[:most]
+def _motion_table(result: Mapping[str, Any]) -> Table:
+    worst = sorted(result["motions"], key=lambda m: -m["rms_after_um"])[:_SHOWN]
     rows = [
         (
             m["effect"],
