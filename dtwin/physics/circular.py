@@ -121,7 +121,8 @@ def fit_common_circle(arcs: Sequence[tuple[Floats, Floats]], radius_mm: float) -
         away = np.maximum(np.hypot(from_a, from_b), 1e-300)
         return np.stack([root * from_a / away, root * from_b / away, -root], axis=1)
 
-    solved = scipy.optimize.leastsq(residual, start, Dfun=slopes, xtol=1e-8, ftol=1e-8)[0]
+    # With all that it returns it prints no warning, where a spoilt reading lies further off than any machine.
+    solved = scipy.optimize.leastsq(residual, start, Dfun=slopes, xtol=1e-8, ftol=1e-8, full_output=True)[0]
     return Circle(
         centre_a_um=float(solved[0]),
         centre_b_um=float(solved[1]),

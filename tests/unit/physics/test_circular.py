@@ -64,6 +64,13 @@ def test_a_partial_arc_still_finds_its_centre() -> None:
     assert circle.eccentricity_um == pytest.approx(np.hypot(60, 40), abs=1e-4)
 
 
+@pytest.mark.filterwarnings("error")
+def test_a_spoilt_reading_far_off_any_machine_prints_no_warning() -> None:
+    deviation_um = np.zeros(360)
+    deviation_um[10] = -1e9
+    assert np.isfinite(fit_circle(np.arange(360.0), deviation_um, 100.0).radius_mm)
+
+
 def test_too_short_an_arc_is_refused() -> None:
     with pytest.raises(InputError, match="arc is too short"):
         fit_circle(ANGLE[:100], np.zeros(100), 100.0)
