@@ -249,3 +249,11 @@ class Campaign:
     started: str = ""
     machine_geometry: Mapping[str, Any] = field(default_factory=dict)
     instrument: Mapping[str, Any] = field(default_factory=dict)
+
+    def of_kind(self, kind: str, where: str = "") -> Campaign:
+        """Return it. Raises ``InputError`` when it is of another kind of test."""
+        if self.kind != kind:
+            raise InputError(
+                f"not a {kind} campaign", code="campaign.kind", where=where or self.name, got=self.kind, allowed=kind
+            )
+        return self

@@ -64,10 +64,7 @@ def campaign_test(folder: Path) -> tuple[str, LinearTest]:
     """Return the machine and the readings of a positioning campaign."""
     campaign, sources, _ = open_source(folder)
     runs = [run for part, _ in sources for run in part]
-    if campaign.kind != "linear":
-        raise InputError(
-            "not a positioning campaign", code="lathe.kind", where=str(folder), got=campaign.kind, allowed="linear"
-        )
+    campaign.of_kind("linear", str(folder))
     usable = [run for run in runs if set(run.samples["direction"]) == {"forward", "reverse"}]
     bad = [run.meta.run_id for run in usable if any(f.severity == "error" for f in run.findings)]
     if not usable or bad:

@@ -7,7 +7,6 @@ from pathlib import Path
 
 from dtwin.acquire.ingest import open_source
 from dtwin.acquire.quality import judge_run
-from dtwin.errors import InputError
 from dtwin.kinds.sinusoidal._bundle import ACTIONS as ACTIONS
 from dtwin.kinds.sinusoidal._bundle import Action
 from dtwin.kinds.sinusoidal._candidates import FORMS, form_candidate, searched_candidate, what_was_seen
@@ -40,10 +39,7 @@ def folder_groups(folder: Path, progress: Progress = silent) -> tuple[str, ToneG
     Raises ``InputError`` when it is of another kind, or no run can be learned from.
     """
     campaign, sources, total = open_source(folder)
-    if campaign.kind != "sinusoidal":
-        raise InputError(
-            "not a campaign of tones", code="turning.kind", where=str(folder), got=campaign.kind, allowed="sinusoidal"
-        )
+    campaign.of_kind("sinusoidal", str(folder))
     usable = []
     for done, (runs, _) in enumerate(sources, start=1):
         usable += [r for r in runs if not any(f.severity == "error" for f in judge_run(r))]

@@ -63,15 +63,7 @@ def split_campaign(home: Home, campaign: str, request: DynamicsRequest) -> Split
     filter_of(request, 1.0)
     lake = Lake(home.lake)
     campaign = in_lake(home, campaign)
-    known = lake.campaign(campaign)
-    if known.kind != "circular":
-        raise InputError(
-            "dynamic parts are those of circular tests",
-            code="dynamics.kind",
-            where=campaign,
-            got=known.kind,
-            allowed="circular",
-        )
+    known = lake.campaign(campaign).of_kind("circular")
     runs = of_one_way(list(lake.iterate(campaign)))
     usable = [run for run in runs if not any(f.severity == "error" for f in run.findings)]
     if not usable:

@@ -53,9 +53,7 @@ def load(home: Home, campaign: str) -> Loaded:
     Raises ``InputError`` when it is of another kind, or has no sound log that was measured without a correction.
     """
     lake, name = Lake(home.lake), in_lake(home, campaign)
-    known = lake.campaign(name)
-    if known.kind != "drift":
-        raise InputError("not a campaign of drift", code="drift.kind", where=name, got=known.kind, allowed="drift")
+    known = lake.campaign(name).of_kind("drift")
     rows = [row for row in lake.runs(name) if row["n_errors"] == 0 and not row["correction"]]
     runs = [lake.load(row) for row in rows]
     if not runs:

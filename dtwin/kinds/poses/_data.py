@@ -79,9 +79,7 @@ def load(home: Home, campaign: str, setup: Setup | None = None) -> Loaded:
     Raises ``InputError`` when it has no sound run, with what is wrong, or several: each has a frame and a tool of its own.
     """
     lake, name = Lake(home.lake), in_lake(home, campaign)
-    known = lake.campaign(name)
-    if known.kind != "poses":
-        raise InputError("not a campaign of poses", code="poses.kind", where=name, got=known.kind, allowed="poses")
+    known = lake.campaign(name).of_kind("poses")
     there = list(lake.iterate(name))
     wrong = [(run, f) for run in there for f in run.findings if f.severity == "error"]
     runs = [run for run in there if not any(run is unsound for unsound, _ in wrong)]

@@ -87,11 +87,7 @@ def session(home: Home, campaign: str, progress: Progress) -> Session:
 
 def session_in(lake: Lake, name: str, progress: Progress) -> Session:
     """Identify the error motions of every cycle of a campaign that is in the lake."""
-    known = lake.campaign(name)
-    if known.kind != "volumetric":
-        raise InputError(
-            "not a ball-array campaign", code="volumetric.kind", where=name, got=known.kind, allowed="volumetric"
-        )
+    known = lake.campaign(name).of_kind("volumetric")
     every = [run for run in lake.iterate(name) if not any(f.severity == "error" for f in run.findings)]
     runs = of_one_way(every)
     hour_by_run = hours_of(runs)

@@ -21,7 +21,7 @@ from dtwin.kinds.kind import VERBS, Kind, NotOffered, Planned
 from dtwin.kinds.machine import PLAN, Options, Request, Simulated, VirtualMachine
 from dtwin.kinds.registry import kind_named, kind_names, kinds, machine_named
 from dtwin.progress import Progress
-from dtwin.schema import Finding, Run
+from dtwin.schema import Campaign, Finding, Run
 
 ROOT = Path(__file__).parents[3]
 
@@ -30,6 +30,14 @@ def test_every_kind_has_columns_and_judges_its_runs() -> None:
     for kind in kinds():
         assert kind.columns
         assert kind.offers("judge_run")
+
+
+def test_a_campaign_of_another_kind_is_refused() -> None:
+    campaign = Campaign("c", "m", "drift")
+    assert campaign.of_kind("drift") is campaign
+    with pytest.raises(InputError) as refused:
+        campaign.of_kind("poses")
+    assert (refused.value.code, refused.value.where, refused.value.got) == ("campaign.kind", "c", "drift")
 
 
 def test_a_kind_that_is_not_there_is_refused_with_those_that_are() -> None:
