@@ -76,11 +76,6 @@ def arc_deg(plane: Plane) -> float:
     return _FULL_TURNS_DEG if plane == "XY" else _HALF_TURN_DEG
 
 
-def top_deg(plane: Plane) -> float:
-    """Return the angle of the middle of half a turn upright, where Z is largest: below it a spindle meets the table."""
-    return {"XY": 0.0, "YZ": 90.0, "ZX": 0.0}[plane]
-
-
 def _motion_s(test: PlannedTest, n_directions: int = 2) -> float:
     """Estimate the time of pure motion of a test."""
     length_mm = math.radians(arc_deg(test.plane)) * test.radius_mm

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from dtwin.plan import PlannedTest, arc_deg, top_deg
+from dtwin.plan import PlannedTest, arc_deg
 from dtwin.schema import Direction, Plane
 
 _FEED_IN_MM = 1.5
@@ -44,8 +44,9 @@ def gcode(test: PlannedTest, directions: tuple[Direction, ...] = ("CCW", "CW")) 
 
 
 def _ends_deg(plane: Plane) -> tuple[float, float]:
-    """Return the first and the last angle of an upright arc, counter-clockwise."""
-    return top_deg(plane) - arc_deg(plane) / 2.0, top_deg(plane) + arc_deg(plane) / 2.0
+    """Return the first and the last angle of an upright arc, counter-clockwise; its middle is where Z is largest: below, a spindle meets the table."""
+    top_deg, half_deg = (90.0 if plane == "YZ" else 0.0), arc_deg(plane) / 2.0
+    return top_deg - half_deg, top_deg + half_deg
 
 
 def _half_turn(test: PlannedTest, direction: Direction, code: str) -> list[str]:
