@@ -197,7 +197,7 @@ def _cut(named: tuple[str, str], own: _Sized, others: _Sized, way: Floats, step_
 def _widths_um(term: Term, twin: Twin, motion: Motion) -> list[Floats]:
     """Return what the expanded uncertainty of each parameter of an effect does, shape (n, 3) each."""
     name, axis = term.instance.effect.name, term.instance.axis
-    widths = [e.uncertainty for e in twin.estimates if (e.effect, e.axis) == (name, axis)]
+    widths = [e.uncertainty_at_shape for e in twin.estimates if (e.effect, e.axis) == (name, axis)]
     return [term_errors_um(term, twin, motion, np.eye(len(widths))[k] * w) for k, w in enumerate(widths)]
 
 

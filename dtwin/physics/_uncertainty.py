@@ -18,29 +18,39 @@ from dtwin.statistics import k2_factor
 _SUPPORTED = 1e-6
 # Conditions of a jackknife.
 _FEWEST = 5
+# Of logarithms of shapes: the step of their slopes; what may be absent is as good as absent at so little of the least tried.
+_STEP, _NEAR_ABSENT = 1e-4, 1e-2
 
 
-def expanded(problem: Problem, terms: Sequence[Term], columns: Floats, x: Floats) -> Floats:
+def expanded(problem: Problem, terms: Sequence[Term], columns: Floats, x: Floats, *, at_shape: bool = False) -> Floats:
     """Return expanded uncertainties, k = 2.
 
     The unit of replication is the run: the spread of the scores of repeats is an estimate of the
     noise that holds whatever the noise looks like round the circle; the few degrees of freedom
     widen the interval as Student's t does (GUM, annex G). Where the laws miss more than the noise,
-    runs of one condition err alike, and the unit is the condition.
+    runs of one condition err alike, and the unit is the condition. Shapes are in doubt, too: as far as the runs do not
+    tell them, within their bounds.
 
     ``problem``: the campaign, not whitened by its noise.
     ``columns``, (rows * n, k): set-up terms and effects.
     ``x``, (k,): what was fitted.
+    ``at_shape``: shapes are known to be as they were found.
     Returns (k,): NaN without repeats.
     """
     if problem.noise is None:
         return np.full(columns.shape[1], np.nan)
-    obs = problem.obs
+    obs, told = problem.obs, columns.shape[1]
+    left = (problem.y - columns @ x).reshape(obs.n_rows, obs.n_bins)
+    slopes, wide = _shape_slopes(problem, [] if at_shape else terms, x)
+    columns = np.concatenate([columns, slopes], axis=1)
     size = np.sqrt((columns**2).sum(axis=0))
     scaled = columns / np.where(size > 0.0, size, 1.0)
-    inverse = np.linalg.pinv(scaled.T @ scaled, rcond=1e-10, hermitian=True)
+    bound = np.zeros(len(size))
+    bound[told:] = (problem.noise.floor_um / (wide * np.where(size > 0.0, size, 1.0)[told:])) ** 2
+    inverse = np.linalg.pinv(scaled.T @ scaled + np.diag(bound), rcond=1e-10, hermitian=True)
     influence = (scaled @ inverse).reshape(obs.n_rows, obs.n_bins, -1)
-    left = (problem.y - columns @ x).reshape(obs.n_rows, obs.n_bins)
+    # What the bounds, and not the runs, tell of the shapes.
+    untold = problem.noise.floor_um * np.sqrt((inverse**2 * bound[:, None]).sum(axis=0))
     deviation, count = within_condition(left, obs.condition_of)
     scores = np.einsum("nqk,nq->nk", influence, deviation)
     runs = np.zeros((int(obs.run_of.max()) + 1, scores.shape[1]))
@@ -58,11 +68,37 @@ def expanded(problem: Problem, terms: Sequence[Term], columns: Floats, x: Floats
     blended = (dof * clustered + level.prior_dof * foretold) / (dof + level.prior_dof)
     out = k2_factor(dof + level.prior_dof) * np.sqrt(blended)
     if misfit(white) is not None:
-        out = np.maximum(out, _by_condition(problem, scaled, influence, left))
-    return np.asarray(out / np.where(size > 0.0, size, np.nan))
+        out = np.maximum(out, _by_condition(problem, scaled, influence, left, bound))
+    out = np.hypot(out, 2.0 * untold)
+    return np.asarray(out / np.where(size > 0.0, size, np.nan))[:told]
 
 
-def _by_condition(problem: Problem, scaled: Floats, influence: Floats, left: Floats) -> Floats:
+def _shape_slopes(problem: Problem, terms: Sequence[Term], x: Floats) -> tuple[Floats, Floats]:
+    """Return how what was fitted changes with the logarithm of each shape, and its standard deviation within its bounds.
+
+    ``x``, (k,): what was fitted, set-up terms first.
+    Returns (rows * n, j) and (j,).
+    """
+    obs = problem.obs
+    slopes, wide, at = [np.empty((obs.y_um.size, 0))], [], obs.n_setup
+    for term in terms:
+        effect = term.instance.effect
+        sizes, at = x[at : at + len(effect.parameters)], at + len(effect.parameters)
+        shape = effect.start_shape | dict(term.shape)
+        for one in effect.refined_shapes(obs.several_speeds):
+            low, high = one.bounds
+            low = max(low, _NEAR_ABSENT * min(one.grid or (one.start,)))
+            here = min(max(shape[one.name], low), high)
+            before, after = (
+                problem.weighted(*obs.distinct_harmonics(term.instance, shape | {one.name: value}, keep=False))
+                for value in (here, here * np.exp(_STEP))
+            )
+            slopes.append(((after - before) @ sizes).reshape(-1, 1) / _STEP)
+            wide.append(np.log(high / low) / np.sqrt(12.0))
+    return np.concatenate(slopes, axis=1), np.array(wide)
+
+
+def _by_condition(problem: Problem, scaled: Floats, influence: Floats, left: Floats, bound: Floats) -> Floats:
     """Return expanded uncertainties with the condition as the unit, in scaled columns, shape (k,).
 
     Two parts: the jackknife, each condition left out once, where there are enough for one; and what
@@ -72,7 +108,7 @@ def _by_condition(problem: Problem, scaled: Floats, influence: Floats, left: Flo
     condition_of = problem.obs.condition_of
     number = int(condition_of.max()) + 1
     few = number < _FEWEST
-    jackknife = 0.0 if few else _jackknife(scaled.reshape(influence.shape), left, condition_of)
+    jackknife = 0.0 if few else _jackknife(scaled.reshape(influence.shape), left, condition_of, bound)
     means = condition_sums(left, condition_of) / np.bincount(condition_of)[:, None]
     together = means @ means.T / means.shape[1]
     summed = condition_sums(influence, condition_of)
@@ -81,7 +117,7 @@ def _by_condition(problem: Problem, scaled: Floats, influence: Floats, left: Flo
     return np.asarray(factor * np.sqrt(np.maximum(jackknife + coherent, 0.0)))
 
 
-def _jackknife(rows: Floats, left: Floats, condition_of: NDArray[np.int64]) -> Floats:
+def _jackknife(rows: Floats, left: Floats, condition_of: NDArray[np.int64], bound: Floats) -> Floats:
     """Return the variance of what is fitted, each condition left out once, shape (k,)."""
     number = int(condition_of.max()) + 1
     grams = np.zeros((number, rows.shape[2], rows.shape[2]))
@@ -89,7 +125,7 @@ def _jackknife(rows: Floats, left: Floats, condition_of: NDArray[np.int64]) -> F
     for row, condition in enumerate(condition_of):
         grams[condition] += rows[row].T @ rows[row]
         sides[condition] += rows[row].T @ left[row]
-    whole = grams.sum(axis=0)
+    whole = grams.sum(axis=0) + np.diag(bound)
     moved = np.zeros_like(sides)
     for n in range(number):
         rest = whole - grams[n]

@@ -108,7 +108,7 @@ def _share(twin: Twin, term: Term, obs: Observations, named: Term) -> Share:
 def _uncertainty_um(twin: Twin, term: Term, obs: Observations, columns: Floats, does: Floats) -> float:
     """Return the expanded uncertainty of the RMS of an effect: how it changes with each of its parameters."""
     name, axis = term.instance.effect.name, term.instance.axis
-    widths = [e.uncertainty for e in twin.estimates if (e.effect, e.axis) == (name, axis)]
+    widths = [e.uncertainty_at_shape for e in twin.estimates if (e.effect, e.axis) == (name, axis)]
     total = obs.rms(does) * float(obs.mask.sum())
     if total <= 0.0:
         return float("nan")

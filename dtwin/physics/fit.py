@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -37,9 +38,11 @@ class Estimate:
 
     Attributes:
         uncertainty: Expanded, k = 2 (95 %); unit of replication: the run, and the condition where laws miss more than the
-            noise. NaN without repeats.
+            noise. It holds what the runs leave open of the shape of its effect. NaN without repeats.
         identifiable: False when these runs do not determine it (the value is then the smallest that fits), or when it or
             a shape of its effect is not plausible.
+        at_shape: Uncertainty at the shape that was found: what an effect does in the runs of the fit is as sure, for what
+            its shape leaves open of its size takes itself back there. NaN where it is the same.
     """
 
     effect: str
@@ -49,6 +52,18 @@ class Estimate:
     value: float
     uncertainty: float
     identifiable: bool
+    at_shape: float = math.nan
+
+    @classmethod
+    def of(cls, stored: Mapping[str, Any]) -> Estimate:
+        """Return an estimate from what ``as_dict`` returned, perhaps with None for what is not finite."""
+        known: dict[str, Any] = {name: math.nan if value is None else value for name, value in stored.items()}
+        return cls(**known)
+
+    @property
+    def uncertainty_at_shape(self) -> float:
+        """Expanded uncertainty at the shape that was found."""
+        return self.uncertainty if math.isnan(self.at_shape) else self.at_shape
 
     @property
     def is_unseen(self) -> bool:
@@ -57,7 +72,7 @@ class Estimate:
 
     def as_dict(self) -> dict[str, Any]:
         """Return a JSON-ready mapping."""
-        return dict(vars(self))
+        return {name: value for name, value in vars(self).items() if name != "at_shape" or math.isfinite(value)}
 
 
 @dataclass(frozen=True)
@@ -145,6 +160,8 @@ def fit(obs: Observations, terms: Sequence[Term], *, robust: bool = False, refin
         weight = run_weights(problem, columns, solution.x)
         solution = solve_blocks(_weighted(columns, problem.y, weight))
     uncertain = expanded(problem, terms, columns, solution.x)
+    has_shapes = any(term.instance.effect.refined_shapes(obs.several_speeds) for term in terms)
+    at_shape = expanded(problem, terms, columns, solution.x, at_shape=True) if has_shapes else uncertain
     n_setup = obs.n_setup
     hidden = (solution.null_space**2).sum(axis=1) > _HIDDEN
     residual = residual_um(obs, columns, solution.x)
@@ -152,7 +169,12 @@ def fit(obs: Observations, terms: Sequence[Term], *, robust: bool = False, refin
     return Fit(
         terms=tuple(terms),
         estimates=estimates(
-            terms, solution.x[n_setup:], uncertain[n_setup:], hidden[n_setup:], on_circles=obs.grid.in_plane
+            terms,
+            solution.x[n_setup:],
+            uncertain[n_setup:],
+            hidden[n_setup:],
+            on_circles=obs.grid.in_plane,
+            at_shape=at_shape[n_setup:],
         ),
         setups=setups(obs, solution.x[:n_setup], uncertain[:n_setup]),
         residual_um=residual,
@@ -213,9 +235,19 @@ def run_weights(problem: Problem, columns: Floats, x: Floats) -> Floats:
 
 
 def estimates(
-    terms: Sequence[Term], values: Floats, expanded: Floats, hidden: NDArray[np.bool_], *, on_circles: bool
+    terms: Sequence[Term],
+    values: Floats,
+    expanded: Floats,
+    hidden: NDArray[np.bool_],
+    *,
+    on_circles: bool,
+    at_shape: Floats | None = None,
 ) -> tuple[Estimate, ...]:
-    """Return the parameters of terms; ``hidden``: those that the runs do not determine; ``on_circles``: as ``implausible``."""
+    """Return the parameters of terms; ``hidden``: those that the runs do not determine; ``on_circles``: as ``implausible``.
+
+    ``expanded``, ``at_shape``: uncertainties, also where shapes are as they were found.
+    """
+    other = np.full(len(values), np.nan) if at_shape is None else np.where(at_shape < expanded, at_shape, np.nan)
     out = []
     number = 0
     doubted = implausible(terms, values, on_circles=on_circles)
@@ -232,6 +264,7 @@ def estimates(
                     value=float(values[number]),
                     uncertainty=float(expanded[number]),
                     identifiable=shown and not bool(hidden[number]),
+                    at_shape=float(other[number]),
                 )
             )
             number += 1

@@ -160,7 +160,9 @@ def _absent(terms: Sequence[Term], sizes: Sequence[Estimate]) -> set[tuple[str, 
         if e.identifiable:
             told.setdefault((e.effect, e.axis), []).append(e)
     own = {key_of(term): told.get((term.instance.effect.name, term.instance.axis), []) for term in terms}
-    return {key for key, mine in own.items() if mine and all(abs(e.value) <= _THERE * e.uncertainty for e in mine)}
+    return {
+        key for key, mine in own.items() if mine and all(abs(e.value) <= _THERE * e.uncertainty_at_shape for e in mine)
+    }
 
 
 def _explaining(

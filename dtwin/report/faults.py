@@ -172,10 +172,7 @@ def found_faults(diagnosis: Mapping[str, Any], library: Mapping[str, Effect]) ->
         faults = []
         for suspect in group:
             if suspect["effect"] in library:
-                sizes = [
-                    Estimate(**{**e, **{n: math.nan if e[n] is None else e[n] for n in ("value", "uncertainty")}})
-                    for e in suspect["sizes"]
-                ]
+                sizes = [Estimate.of(e) for e in suspect["sizes"]]
                 own = [e for e in sizes if (e.effect, e.axis) == (suspect["effect"], suspect["axis"])]
                 faults.append(_fault(library[suspect["effect"]], suspect["axis"], own))
         groups.append(faults)

@@ -39,7 +39,7 @@ def parameter_factor(twin: Twin, carried: Twin, obs: Observations) -> Floats | N
     Returns (parameters, parts) of the carried effects; None when the runs do not tell the uncertainty of one of them,
     as without repeats.
     """
-    half = {(e.effect, e.axis, e.name): e.uncertainty for e in twin.estimates}
+    half = {(e.effect, e.axis, e.name): e.uncertainty_at_shape for e in twin.estimates}
     keys = [(t.instance.effect.name, t.instance.axis, p.name) for t in twin.terms for p in t.instance.effect.parameters]
     labels = [t.label for t in twin.terms for _ in t.instance.effect.parameters]
     wanted = [n for n, label in enumerate(labels) if label in carried.labels]

@@ -187,7 +187,7 @@ class _Several(SeveralDiagnosis):
 def _suspect(entry: Mapping[str, Any]) -> Suspect:
     tuples = {name: tuple(entry[name]) for name in ("confounded_with", "tested", "untested")}
     laws = tuple(LawTest(law["variable"], **_numbers(law, "p_value", "shift", "uncertainty")) for law in entry["laws"])
-    sizes = tuple(Estimate(**{**size, **_numbers(size, "value", "uncertainty")}) for size in entry["sizes"])
+    sizes = tuple(Estimate.of(size) for size in entry["sizes"])
     numbers = _numbers(entry, "rms_after_um", "cv_gain", "p_value", "share")
     return Suspect(**{**entry, **numbers, **tuples, "laws": laws, "sizes": sizes})
 

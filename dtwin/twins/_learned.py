@@ -114,10 +114,7 @@ def _twin_from(document: Mapping[str, Any], library: Mapping[str, Effect], where
         effect = library[entry["effect"]]
         # A version before may not have known every shape parameter.
         terms.append(Term(Instance(effect, entry["axis"]), effect.completed(entry["shape"])))
-    estimates = tuple(
-        Estimate(**(e | {"uncertainty": _number(e["uncertainty"]), "value": _number(e["value"])}))
-        for e in document["parameters"]
-    )
+    estimates = tuple(Estimate.of(e) for e in document["parameters"])
     box = document["box"]
     return Twin(
         name=document["twin"],
@@ -140,7 +137,3 @@ def _twin_from(document: Mapping[str, Any], library: Mapping[str, Effect], where
         data=document["data"],
         effect_sources=document["effect_sources"],
     )
-
-
-def _number(value: float | None) -> float:
-    return float("nan") if value is None else float(value)

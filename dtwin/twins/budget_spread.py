@@ -49,7 +49,7 @@ def spread_budget(twin: Twin, obs: Observations, terms: Sequence[Term] = ()) -> 
         does = columns @ twin.values(term)
         every += does
         kept, rest = _without_setup(obs, does), _without_setup(obs, obs.y_um - does)
-        widths = [e.uncertainty for e in twin.estimates_of(term)]
+        widths = [e.uncertainty_at_shape for e in twin.estimates_of(term)]
         moved = [_without_setup(obs, columns[:, :, k] * width) for k, width in enumerate(widths)]
         rows = {p: planes == p for p in obs.planes}
         parts[label] = {p: _moves_um(obs, kept, moved, mine) for p, mine in rows.items()}

@@ -236,7 +236,9 @@ def _machine(twins: AnyTwins) -> MachineTwins:
 
 
 def _change(before: Estimate, after: Estimate) -> _Change:
-    return _Change(before.name, before.unit, before.value, before.uncertainty, after.value, after.uncertainty)
+    # That an effect goes is told however little its shape tells of its size.
+    widths = before.uncertainty_at_shape, after.uncertainty_at_shape
+    return _Change(before.name, before.unit, before.value, widths[0], after.value, widths[1])
 
 
 def _keep(twins: TwinShelf, name: str, intervention: _Intervention) -> None:

@@ -88,7 +88,9 @@ def _advice(name: str, gradings: Sequence[Grading], corrected: Twin, obs: Observ
     def cost(term: Term) -> tuple[int, float]:
         # What cannot be told apart stands for each other: keep what explains it with least.
         rest = [t for t in corrected.terms if t.label != term.label]
-        needed = {f"{e.effect} {e.axis}" for e in fit(obs, rest).estimates if not abs(e.value) <= e.uncertainty}
+        needed = {
+            f"{e.effect} {e.axis}" for e in fit(obs, rest).estimates if not abs(e.value) <= e.uncertainty_at_shape
+        }
         return len(needed), rms(predict_um(replace(corrected, terms=(term,)), obs)[obs.mask])
 
     weakest = min(unneeded, key=cost).instance

@@ -72,7 +72,7 @@ def test_the_covariance_has_the_uncertainties_that_the_twin_states(circles: Obse
     twin = twin_with(["scale_mismatch", "squareness", "backlash"], circles)
     factor = parameter_factor(twin, twin, circles)
     assert factor is not None
-    stated = [e.uncertainty for e in twin.estimates]
+    stated = [e.uncertainty_at_shape for e in twin.estimates]
     assert np.sqrt((factor**2).sum(axis=1)) == pytest.approx(stated, rel=1e-3)
 
 
@@ -205,5 +205,5 @@ def test_of_several_campaigns_the_covariance_is_that_of_all(circles: Observation
     free = SeenTwin(**vars(twin), covariance=np.eye(len(twin.estimates)))
     factor = parameter_factor(free, free, circles)
     assert factor is not None
-    stated = np.array([e.uncertainty for e in twin.estimates])
+    stated = np.array([e.uncertainty_at_shape for e in twin.estimates])
     assert factor @ factor.T == pytest.approx(np.diag(stated**2))
