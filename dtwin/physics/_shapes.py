@@ -14,7 +14,8 @@ from dtwin.physics.problem import Term
 from dtwin.schema import Floats
 
 _FEW, _MOST = 8, 60
-_MARGIN = 1e-3
+# Of logarithms: a solver ends so far outside of its range; what begins so far outside was tried there.
+_MARGIN, _BEYOND = 1e-3, 0.1
 _ABSENT = 1e-6
 _NEAR_ABSENT = 1e-2
 
@@ -28,7 +29,8 @@ def refined(
     ``terms``: effects with the shapes to start from.
     ``enough``: a step that lowers the sum of squares by less is the last one.
     ``bounded``: stay within the grids, as diagnosis does, and take few steps. Beyond them many effects turn into others:
-    friction without travel and a spike without end are backlash. Otherwise within what is physically possible.
+    friction without travel and a spike without end are backlash. Otherwise, and where more was tried beyond a grid as the
+    error is as large, within what is physically possible.
     The same terms when no other shapes are better, or when none has any.
     """
     several = campaign.problem.obs.several_speeds
@@ -132,6 +134,11 @@ def _least(shape: ShapeParameter) -> float:
 
 def _bounds(free: Sequence[ShapeParameter], begun: Floats, within_grid: bool) -> tuple[Floats, Floats]:
     """Return the range of each shape in logarithms; the solver wants a start inside."""
-    ranges = [(_least(s), max(s.grid)) if within_grid and s.grid else s.bounds for s in free]
+    ranges = [
+        (_least(s), s.bounds[1] if s.as_large and at > np.log(max(s.grid)) + _BEYOND else max(s.grid))
+        if within_grid and s.grid
+        else s.bounds
+        for s, at in zip(free, begun, strict=True)
+    ]
     low, high = np.log(np.maximum(ranges, _ABSENT)).T
     return np.minimum(low, begun) - _MARGIN, np.maximum(high, begun) + _MARGIN

@@ -5,12 +5,13 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc
 
+from dtwin.physics import localise
 from dtwin.physics._reference_lines import over
 from dtwin.physics._score import NoiseLevel, Score, score_test
 from dtwin.physics.effect import Effect, Instance
@@ -166,7 +167,24 @@ class Candidates:
         grid = [{**shape, **over(effect, [self.obs])} for shape in grid]
         if effect.also_tried_on and self.obs.grid.kind not in effect.also_tried_on:
             return grid
-        return [*grid, *(s for s in effect.also_tried if several or effect.is_told_at_one_speed(s))]
+        sized = [s.name for s in effect.shapes if s.as_large]
+        return [
+            *grid,
+            *(
+                s
+                for s in effect.also_tried
+                if (several or effect.is_told_at_one_speed(s)) and all(s[name] <= self._most_um for name in sized)
+            ),
+        ]
+
+    @cached_property
+    def _most_um(self) -> float:
+        """From the least to the most of what turns with the direction beside the set-up, of anything where no run was turned."""
+        obs = self.obs
+        means = localise.condition_means(obs, localise.residual_um(obs, []))
+        index = {c: i for i, c in enumerate(obs.conditions)}
+        odd = [(means[i] - means[index[c.turned]]) / 2.0 for c, i in index.items() if c.turned in index]
+        return float(np.ptp(odd or means, axis=1).max())
 
 
 def _key(term: Term) -> _Key:

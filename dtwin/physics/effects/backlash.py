@@ -27,10 +27,10 @@ EFFECT = Effect(
     law=Law(0.0, 0.0, "odd"),
     meaning="Lost motion in the drive: play in nut, coupling or gear, or wind-up of the screw. Below zero: the compensation in the control is too large.",
     formula="-(B / 2) sgn(v) cos(t) for the X axis, once the play is taken up",
-    shapes=(ShapeParameter("standstill_um", "um", 3.0, (0.1, 4.0, 12.0), (0.0, 120.0)),),
-    # A tone is told of larger machines, too, whose table stands still for as long as their play is wide.
-    also_tried=({"standstill_um": 40.0}, {"standstill_um": 120.0}),
-    also_tried_on=("sinusoidal",),
+    shapes=(ShapeParameter("standstill_um", "um", 3.0, (0.1, 4.0, 12.0), (0.0, 300.0), as_large=True),),
+    # The table stands still for as long as its play is wide.
+    also_tried=tuple({"standstill_um": um} for um in (25.0, 40.0, 75.0, 120.0, 190.0, 300.0)),
+    also_tried_on=("circular", "sinusoidal"),
     looks_like="Steps where the axis reverses, in or out; the same at all feeds.",
     separate_by="Lower the feed: spikes shrink, a step stays.",
     remedy="Preload or renew nut and bearings; else enter backlash compensation in the control.",
