@@ -113,3 +113,16 @@ def test_lobes_are_not_waves_of_two_axes_that_take_each_other_away() -> None:
     assert not names & {"pitch_error X", "pitch_error Y", "cyclic_error X", "cyclic_error Y"}
     assert found.unresolved is not None
     assert found.unresolved.systematic_rms_um == pytest.approx(0.7 / np.sqrt(2.0), rel=0.2)
+
+
+@pytest.mark.parametrize("arc", [False, True])
+def test_a_set_up_that_moves_between_two_feeds_is_told(*, arc: bool) -> None:
+    obs = measured(lambda hour: NOTHING)
+    late = np.array([obs.conditions[c].feed_mm_min == 2000.0 for c in obs.condition_of])
+    read_um = obs.y_um + np.outer(late, 12.0 * np.cos(obs.grid.phase_rad))
+    seen = obs.mask & (np.arange(obs.n_bins) < (220 if arc else 360))
+    left = diagnose(replace(obs, y_um=np.where(seen, read_um, 0.0), mask=seen), [], LIBRARY).unresolved
+    assert left is not None
+    said, to_do = left.words.split("; ")
+    assert said == f"as if set-up {obs.runs[0].setup} had moved by 12 µm between its runs at 500 and 2000 mm/min"
+    assert "give runs after a move" in to_do
