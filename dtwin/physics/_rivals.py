@@ -33,6 +33,8 @@ _AS_GOOD = 0.9
 _IMPOSSIBLE = 0.1
 # So much, where laws hold, of what the other explains is no less.
 _NO_LESS = 0.99
+# So much of the size of another is as large.
+_AS_LARGE = 0.5
 # Share of what is left at a target left out that a curve of any shape foretells; waves that targets do not follow give it less.
 _FORETOLD_OF_CURVE = 0.3
 
@@ -99,6 +101,11 @@ def described(
         rivals, _ = in_best_shapes(dictionary, rest, given, level, but=_far(dictionary, chosen, term))
         bare = everywhere.given(plain, others)
         group, absorbed = _group(given, few, candidates, level, top, rivals, whole is not problem)
+        # What rings at a reversal may be all that is significant of a mode, and its oval all that is large.
+        least_um = _AS_LARGE * everywhere.size_um(bare, term)
+        group = group[:1] + tuple(
+            c for c in group[1:] if not _is_like(top, c) or everywhere.size_um(bare, c.term) >= least_um
+        )
         if whole is not problem:
             beside = everywhere.given(whole, others)
             group = group[:1] + tuple(

@@ -372,6 +372,21 @@ def test_at_one_speed_what_rings_and_a_scale_are_a_mode() -> None:
     assert also(mode, "reversal_ringing X") == set()
 
 
+def test_what_rings_at_reversals_makes_no_oval_however_little_is_told_of_the_oval() -> None:
+    """Where runs differ by lobes the ringing of 0.04 µm RMS was more significant than the oval of 1.6 µm, and stood for it."""
+    tests = [CircularTest("XY", way, 150.0, 1000.0, k, "xy") for k in (1, 2, 3) for way in ("CCW", "CW")]
+    mill = VirtualMill(MillParameters(), seed=1, noise=NoiseParameters(rms_um=0.02))
+    obs = observe(mill.campaign(), mill.measure(tests))
+    rng, theta = np.random.default_rng(0), obs.grid.phase_rad
+    drawn = [(h, rng.normal(0.0, 0.1, obs.n_rows), rng.uniform(0.0, 6.28, obs.n_rows)) for h in range(1, 6)]
+    lobes_um = sum(a[:, None] * np.cos(h * theta + phase[:, None]) for h, a, phase in drawn)
+    ringing, scale = chosen_terms(["reversal_ringing:X", "scale_mismatch"], LIBRARY, obs)
+    rings = obs.regressors(ringing.instance, {"frequency_hz": 24.0, "damping_ratio": 0.16}) @ [0.8, 4.0]
+    read_um = obs.y_um + lobes_um + obs.regressors(scale.instance, {}) @ [30.0] + rings
+    (group,) = diagnose(obs.with_y(read_um), [], LIBRARY).found
+    assert {s.label for s in group} == {"scale_mismatch XY"}
+
+
 def test_effects_keep_their_names_beside_a_curve_of_an_axis_that_looks_like_one_of_them() -> None:
     # A scale that is not straight grows with another power of the radius than scale mismatch does: a smooth pitch error.
     mill = (
