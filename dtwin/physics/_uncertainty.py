@@ -7,10 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from dtwin.physics._score import misfit, noise_level
+from dtwin.physics._score import NoiseLevel, misfit, noise_level
 from dtwin.physics.candidates import probes
+from dtwin.physics.effect import ShapeParameter
 from dtwin.physics.problem import Problem, Term, weighted_like
-from dtwin.physics.whitening import condition_sums, within_condition, zero_weighted
+from dtwin.physics.whitening import PureError, condition_sums, within_condition, zero_weighted
 from dtwin.schema import Floats
 from dtwin.statistics import k2_factor
 
@@ -22,8 +23,8 @@ _FEWEST = 5
 _STEP, _NEAR_ABSENT = 1e-4, 1e-2
 
 
-def expanded(problem: Problem, terms: Sequence[Term], columns: Floats, x: Floats, *, at_shape: bool = False) -> Floats:
-    """Return expanded uncertainties, k = 2.
+def expanded(problem: Problem, terms: Sequence[Term], columns: Floats, x: Floats) -> tuple[Floats, Floats]:
+    """Return expanded uncertainties, k = 2, and the same where shapes are known to be as they were found.
 
     The unit of replication is the run: the spread of the scores of repeats is an estimate of the
     noise that holds whatever the noise looks like round the circle; the few degrees of freedom
@@ -34,23 +35,40 @@ def expanded(problem: Problem, terms: Sequence[Term], columns: Floats, x: Floats
     ``problem``: the campaign, not whitened by its noise.
     ``columns``, (rows * n, k): set-up terms and effects.
     ``x``, (k,): what was fitted.
-    ``at_shape``: shapes are known to be as they were found.
-    Returns (k,): NaN without repeats.
+    Returns (k,) each: NaN without repeats.
     """
     if problem.noise is None:
-        return np.full(columns.shape[1], np.nan)
-    obs, told = problem.obs, columns.shape[1]
-    left = (problem.y - columns @ x).reshape(obs.n_rows, obs.n_bins)
-    slopes, wide = _shape_slopes(problem, [] if at_shape else terms, x)
-    columns = np.concatenate([columns, slopes], axis=1)
+        unknown = np.full(columns.shape[1], np.nan)
+        return unknown, unknown
+    left = (problem.y - columns @ x).reshape(problem.obs.n_rows, problem.obs.n_bins)
+    white = weighted_like(problem.obs, terms, problem.noise)
+    level, misses = noise_level(white, probes(white)), misfit(white) is not None
+    slopes, wide = _shape_slopes(problem, terms, x)
+    at_shape = _expanded(problem, problem.noise, columns, np.empty(0), left, level, misses)
+    if not len(wide):
+        return at_shape, at_shape
+    both = np.concatenate([columns, slopes], axis=1)
+    return _expanded(problem, problem.noise, both, wide, left, level, misses)[: len(x)], at_shape
+
+
+def _expanded(
+    problem: Problem, noise: PureError, columns: Floats, wide: Floats, left: Floats, level: NoiseLevel, misses: bool
+) -> Floats:
+    """Return expanded uncertainties of the factors of columns, shape (k,).
+
+    ``wide``, (j,): standard deviations that the last j factors have, whatever the runs tell.
+    ``left``, (rows, n): what the fit leaves; ``misses``: that is more than noise.
+    """
+    obs = problem.obs
     size = np.sqrt((columns**2).sum(axis=0))
     scaled = columns / np.where(size > 0.0, size, 1.0)
     bound = np.zeros(len(size))
-    bound[told:] = (problem.noise.floor_um / (wide * np.where(size > 0.0, size, 1.0)[told:])) ** 2
+    bound[len(size) - len(wide) :] = (noise.floor_um / wide) ** 2
+    bound /= np.where(size > 0.0, size, 1.0) ** 2
     inverse = np.linalg.pinv(scaled.T @ scaled + np.diag(bound), rcond=1e-10, hermitian=True)
     influence = (scaled @ inverse).reshape(obs.n_rows, obs.n_bins, -1)
     # What the bounds, and not the runs, tell of the shapes.
-    untold = problem.noise.floor_um * np.sqrt((inverse**2 * bound[:, None]).sum(axis=0))
+    untold = noise.floor_um * np.sqrt((inverse**2 * bound[:, None]).sum(axis=0))
     deviation, count = within_condition(left, obs.condition_of)
     scores = np.einsum("nqk,nq->nk", influence, deviation)
     runs = np.zeros((int(obs.run_of.max()) + 1, scores.shape[1]))
@@ -58,19 +76,16 @@ def expanded(problem: Problem, terms: Sequence[Term], columns: Floats, x: Floats
     # Conditions without repeats add no score: scale up for them.
     share = (count > 1).sum() / obs.n_rows
     clustered = (runs**2).sum(axis=0) / share
-    white = weighted_like(obs, terms, problem.noise)
-    level = noise_level(white, probes(white))
-    variance = np.nan_to_num(problem.noise.variance, nan=float(np.nanmean(problem.noise.variance)))
-    noise = problem.noise
+    variance = np.nan_to_num(noise.variance, nan=float(np.nanmean(noise.variance)))
     coloured = zero_weighted(influence / noise.weights[:, None], obs.run_of, 1.0 / noise.zero_weight)
     foretold = level.ratio * np.einsum("n,nqk,nqk->k", variance[obs.condition_of], coloured, coloured)
-    dof = float(problem.noise.dof)
+    dof = float(noise.dof)
     blended = (dof * clustered + level.prior_dof * foretold) / (dof + level.prior_dof)
     out = k2_factor(dof + level.prior_dof) * np.sqrt(blended)
-    if misfit(white) is not None:
+    if misses:
         out = np.maximum(out, _by_condition(problem, scaled, influence, left, bound))
     out = np.hypot(out, 2.0 * untold)
-    return np.asarray(out / np.where(size > 0.0, size, np.nan))[:told]
+    return np.asarray(out / np.where(size > 0.0, size, np.nan))
 
 
 def _shape_slopes(problem: Problem, terms: Sequence[Term], x: Floats) -> tuple[Floats, Floats]:
@@ -84,18 +99,23 @@ def _shape_slopes(problem: Problem, terms: Sequence[Term], x: Floats) -> tuple[F
     for term in terms:
         effect = term.instance.effect
         sizes, at = x[at : at + len(effect.parameters)], at + len(effect.parameters)
+        ranges = {s.name: _range(s) for s in effect.refined_shapes(obs.several_speeds)}
+        if not ranges:
+            continue
         shape = effect.start_shape | dict(term.shape)
-        for one in effect.refined_shapes(obs.several_speeds):
-            low, high = one.bounds
-            low = max(low, _NEAR_ABSENT * min(one.grid or (one.start,)))
-            here = min(max(shape[one.name], low), high)
-            before, after = (
-                problem.weighted(*obs.distinct_harmonics(term.instance, shape | {one.name: value}, keep=False))
-                for value in (here, here * np.exp(_STEP))
-            )
-            slopes.append(((after - before) @ sizes).reshape(-1, 1) / _STEP)
-            wide.append(np.log(high / low) / np.sqrt(12.0))
+        shape |= {name: min(max(shape[name], low), high) for name, (low, high) in ranges.items()}
+        tried = [shape, *(shape | {name: shape[name] * np.exp(_STEP)} for name in ranges)]
+        made = [obs.distinct_harmonics(term.instance, one, keep=False) for one in tried]
+        before, *after = (problem.weighted(*one) @ sizes for one in made)
+        slopes += [(moved - before).reshape(-1, 1) / _STEP for moved in after]
+        wide += [np.log(high / low) / np.sqrt(12.0) for low, high in ranges.values()]
     return np.concatenate(slopes, axis=1), np.array(wide)
+
+
+def _range(shape: ShapeParameter) -> tuple[float, float]:
+    """Return the bounds of a shape; what may be absent begins where it is as good as that."""
+    low, high = shape.bounds
+    return max(low, _NEAR_ABSENT * min(shape.grid or (shape.start,))), high
 
 
 def _by_condition(problem: Problem, scaled: Floats, influence: Floats, left: Floats, bound: Floats) -> Floats:

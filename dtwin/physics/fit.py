@@ -159,9 +159,7 @@ def fit(obs: Observations, terms: Sequence[Term], *, robust: bool = False, refin
     for _ in range(_ROBUST_ROUNDS if robust else 0):
         weight = run_weights(problem, columns, solution.x)
         solution = solve_blocks(_weighted(columns, problem.y, weight))
-    uncertain = expanded(problem, terms, columns, solution.x)
-    has_shapes = any(term.instance.effect.refined_shapes(obs.several_speeds) for term in terms)
-    at_shape = expanded(problem, terms, columns, solution.x, at_shape=True) if has_shapes else uncertain
+    uncertain, at_shape = expanded(problem, terms, columns, solution.x)
     n_setup = obs.n_setup
     hidden = (solution.null_space**2).sum(axis=1) > _HIDDEN
     residual = residual_um(obs, columns, solution.x)
