@@ -105,6 +105,7 @@ def session_in(lake: Lake, name: str, progress: Progress) -> Session:
     cycles = [balls_of(run) for run in runs]
     sound = spoilt_in(cycles).kept(cycles, REFERENCE_CYCLES + 1)
     runs, balls = [runs[n] for n, _ in sound], [cycle for _, cycle in sound]
+    _require_poses(artefact.held_out, balls, name)
     reference = averaged_balls(balls[:REFERENCE_CYCLES])
     moved = tuple(artefact.variation_um(cycle, reference) for cycle in balls)
     artefact = artefact.with_noise_of(moved)
@@ -177,6 +178,21 @@ def poses_told(geometry: Mapping[str, Any], where: str) -> tuple[tuple[int, ...]
                 hint=f"dtwin amend NAME --set 'machine_geometry.{name}=…' --because WHY changes it in the lake",
             )
     return tuple(map(int, held_out)), float(repeat_um)
+
+
+def _require_poses(held_out: Sequence[int], cycles: Sequence[Balls], where: str) -> None:
+    """Refuse poses to hold out that no ball has: nothing would be held out."""
+    there = sorted({int(pose) for balls in cycles for pose in balls.pose})
+    absent = [pose for pose in held_out if pose not in there]
+    if absent:
+        raise InputError(
+            "a pose that is to be held out was not measured",
+            code="volumetric.poses",
+            where=f"{where} machine_geometry.held_out_poses",
+            got=", ".join(map(str, absent[:5])),
+            allowed=", ".join(map(str, there[:20])),
+            hint="dtwin amend NAME --set 'machine_geometry.held_out_poses=…' --because WHY changes it in the lake",
+        )
 
 
 def hours_of(runs: Sequence[Run]) -> dict[str, float]:

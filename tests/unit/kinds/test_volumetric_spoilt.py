@@ -11,7 +11,7 @@ import pytest
 from dtwin.errors import InputError
 from dtwin.kinds.registry import kind_named
 from dtwin.kinds.volumetric._identify import Balls
-from dtwin.kinds.volumetric._session import _temperatures, hours_of
+from dtwin.kinds.volumetric._session import _require_poses, _temperatures, hours_of
 from dtwin.kinds.volumetric._spoilt import spoilt_in
 from dtwin.schema import Campaign, Finding, Floats, Run, RunMeta, SignalGroup
 
@@ -195,6 +195,13 @@ def test_poses_that_are_none_are_refused_before_the_lake_has_them(told: dict[str
         "volumetric.poses",
         f"campaign c machine_geometry.{next(iter(told))}",
     )
+
+
+def test_a_pose_to_hold_out_that_no_ball_has_is_refused() -> None:
+    _require_poses((2, 4), measured(), "c")
+    with pytest.raises(InputError) as refused:
+        _require_poses((2, 99), measured(), "c")
+    assert (refused.value.got, refused.value.allowed) == ("99", "0, 1, 2, 3, 4")
 
 
 def test_a_stroke_that_is_one_number_is_refused_before_the_lake_has_it() -> None:
