@@ -42,7 +42,7 @@ class Estimate:
         identifiable: False when these runs do not determine it (the value is then the smallest that fits), or when it or
             a shape of its effect is not plausible.
         at_shape: Uncertainty at the shape that was found: what an effect does in the runs of the fit is as sure, for what
-            its shape leaves open of its size takes itself back there. NaN where it is the same.
+            its shape leaves open of its size takes itself back there. None where it is the same.
     """
 
     effect: str
@@ -52,7 +52,7 @@ class Estimate:
     value: float
     uncertainty: float
     identifiable: bool
-    at_shape: float = math.nan
+    at_shape: float | None = None
 
     @classmethod
     def of(cls, stored: Mapping[str, Any]) -> Estimate:
@@ -63,7 +63,7 @@ class Estimate:
     @property
     def uncertainty_at_shape(self) -> float:
         """Expanded uncertainty at the shape that was found."""
-        return self.uncertainty if math.isnan(self.at_shape) else self.at_shape
+        return self.uncertainty if self.at_shape is None else self.at_shape
 
     @property
     def is_unseen(self) -> bool:
@@ -72,7 +72,7 @@ class Estimate:
 
     def as_dict(self) -> dict[str, Any]:
         """Return a JSON-ready mapping."""
-        return {name: value for name, value in vars(self).items() if name != "at_shape" or math.isfinite(value)}
+        return {name: value for name, value in vars(self).items() if value is not None}
 
 
 @dataclass(frozen=True)
@@ -245,7 +245,7 @@ def estimates(
 
     ``expanded``, ``at_shape``: uncertainties, also where shapes are as they were found.
     """
-    other = np.full(len(values), np.nan) if at_shape is None else np.where(at_shape < expanded, at_shape, np.nan)
+    other = expanded if at_shape is None else at_shape
     out = []
     number = 0
     doubted = implausible(terms, values, on_circles=on_circles)
@@ -262,7 +262,7 @@ def estimates(
                     value=float(values[number]),
                     uncertainty=float(expanded[number]),
                     identifiable=shown and not bool(hidden[number]),
-                    at_shape=float(other[number]),
+                    at_shape=float(other[number]) if other[number] < expanded[number] else None,
                 )
             )
             number += 1

@@ -23,7 +23,7 @@ M30
 
 def test_a_square_shows_the_scale_of_an_axis_across_half_of_its_way() -> None:
     twin, _ = made_twin([EFFECTS[1]])
-    widened = tuple(replace(e, uncertainty=e.value / 10.0) for e in twin.estimates)
+    widened = tuple(replace(e, uncertainty=e.value / 10.0, at_shape=None) for e in twin.estimates)
     found = program_budget(replace(twin, estimates=widened), SQUARE, origin_mm=np.zeros(3), where="p.nc")
     (cut,) = found.causes
     # 20 ppm: 0.4 um at the sides, and from -0.4 to 0.4 um, along the way, between them.
