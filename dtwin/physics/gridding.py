@@ -15,7 +15,7 @@ from dtwin.physics.state import AXES_OF, State, circular_state
 from dtwin.schema import Direction, Floats, Plane, Run, RunMeta
 
 N_BINS = 360
-# Gauss-Legendre, within a bin from 0 to 1: three points mean as much as a hundred at equal distances would.
+# Gauss-Legendre, within a bin from 0 to 1: the mean of what is, within a degree, a polynomial of degree 5 is exact.
 _WITHIN_BIN = 0.5 * (1.0 + np.polynomial.legendre.leggauss(3)[0])
 _WEIGHTS = 0.5 * np.polynomial.legendre.leggauss(3)[1]
 _SAMPLE_COLUMNS = ("t_s", "angle_deg", "deviation_um")
