@@ -127,6 +127,12 @@ def _logs(term: Term, free: Sequence[ShapeParameter]) -> Floats:
     return np.log(np.maximum([shape[s.name] for s in free], _ABSENT))
 
 
+def possible(shape: ShapeParameter) -> tuple[float, float]:
+    """Return the bounds of a shape, both above zero: what may be absent begins where it is as good as that."""
+    low, high = shape.bounds
+    return max(low, _NEAR_ABSENT * min(shape.grid or (shape.start,)), _ABSENT), high
+
+
 def _least(shape: ShapeParameter) -> float:
     """Return the smallest value of a grid; far less where the effect stays the same, so that the solver does not stick there."""
     return min(shape.grid) * (_NEAR_ABSENT if shape.vanishes else 1.0)

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dtwin.physics._score import NoiseLevel, misfit, noise_level
+from dtwin.physics._shapes import possible
 from dtwin.physics.candidates import probes
-from dtwin.physics.effect import ShapeParameter
 from dtwin.physics.problem import Problem, Term, weighted_like
 from dtwin.physics.whitening import PureError, condition_sums, within_condition, zero_weighted
 from dtwin.schema import Floats
@@ -19,8 +19,8 @@ from dtwin.statistics import k2_factor
 _SUPPORTED = 1e-6
 # Conditions of a jackknife.
 _FEWEST = 5
-# Of logarithms of shapes: the step of their slopes; what may be absent is as good as absent at so little of the least tried.
-_STEP, _NEAR_ABSENT = 1e-4, 1e-2
+# Of logarithms of shapes: the step of their slopes.
+_STEP = 1e-4
 
 
 def expanded(problem: Problem, terms: Sequence[Term], columns: Floats, x: Floats) -> tuple[Floats, Floats]:
@@ -99,7 +99,8 @@ def _shape_slopes(problem: Problem, terms: Sequence[Term], x: Floats) -> tuple[F
     for term in terms:
         effect = term.instance.effect
         sizes, at = x[at : at + len(effect.parameters)], at + len(effect.parameters)
-        ranges = {s.name: _range(s) for s in effect.refined_shapes(obs.several_speeds)}
+        ranges = {s.name: possible(s) for s in effect.refined_shapes(obs.several_speeds)}
+        ranges = {name: (low, high) for name, (low, high) in ranges.items() if low < high}
         if not ranges:
             continue
         shape = effect.start_shape | dict(term.shape)
@@ -110,12 +111,6 @@ def _shape_slopes(problem: Problem, terms: Sequence[Term], x: Floats) -> tuple[F
         slopes += [(moved - before).reshape(-1, 1) / _STEP for moved in after]
         wide += [np.log(high / low) / np.sqrt(12.0) for low, high in ranges.values()]
     return np.concatenate(slopes, axis=1), np.array(wide)
-
-
-def _range(shape: ShapeParameter) -> tuple[float, float]:
-    """Return the bounds of a shape; what may be absent begins where it is as good as that."""
-    low, high = shape.bounds
-    return max(low, _NEAR_ABSENT * min(shape.grid or (shape.start,))), high
 
 
 def _by_condition(problem: Problem, scaled: Floats, influence: Floats, left: Floats, bound: Floats) -> Floats:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,6 +11,7 @@ from dtwin.acquire.virtual_mill import _standard_tests
 from dtwin.machines.mill import VirtualMill
 from dtwin.machines.mill_parameters import CircularTest, MillParameters, NoiseParameters
 from dtwin.physics.candidates import applicable
+from dtwin.physics.effect import Instance, ShapeParameter
 from dtwin.physics.fit import Estimate, fit
 from dtwin.physics.library import Library
 from dtwin.physics.observations import Observations, observe
@@ -64,3 +67,18 @@ def test_what_one_feed_leaves_open_of_a_shape_makes_a_size_uncertain_and_not_wha
         assert abs(estimate.value - truth) < estimate.uncertainty
         assert 5.0 * estimate.uncertainty_at_shape < estimate.uncertainty
         assert Estimate.of(estimate.as_dict()) == estimate
+
+
+@pytest.mark.parametrize(
+    ("grid", "limits", "start"), [((0.0, 4.0), None, 0.0), ((0.0, 4.0), (0.0, 9.0), 4.0), ((3.0,), (3.0, 3.0), 3.0)]
+)
+def test_a_shape_of_an_own_effect_may_be_nothing_or_one_value(
+    grid: tuple[float, ...], limits: tuple[float, float] | None, start: float
+) -> None:
+    obs = campaign()
+    (term,) = chosen_terms(["backlash:X"], LIBRARY, obs)
+    own = replace(
+        term.instance.effect, shapes=(ShapeParameter("standstill_um", "um", start, grid, limits),), also_tried=()
+    )
+    (size,) = fit(obs, [Term(Instance(own, "X"), own.start_shape)]).estimates
+    assert 0.0 < size.uncertainty < 6.0 < 2.0 * size.value
