@@ -63,7 +63,7 @@ class ShapeParameter:
         vanishes: Whether the effect stays the same one far below the smallest value tried: diagnosis may go there.
         by_speed: Whether only runs at several speeds tell it: at one speed it stays at its start.
         smooth: Whether a few values of the grid's range span the effect at all others, as they do for a time constant.
-        as_large: Whether the error is as large as the value, so that no larger one is tried besides than the runs show.
+        as_large: Whether the error is as large as the value: of what diagnosis tries besides, what is larger than the runs show is left out.
         step_on_circles: A circle is shorter than an axis: every so-manieth value of the grid is tried on it.
     """
 
