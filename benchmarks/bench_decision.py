@@ -18,9 +18,9 @@ from typing import Any
 import numpy as np
 from bench_features import usual_script
 
-from dtwin.features.motion import PATH_INPUT_UNITS, PATH_INPUTS
+from dtwin.features.path_inputs import PATH_INPUT_UNITS, PATH_INPUTS
 from dtwin.features.windows import WindowContract
-from dtwin.links import state as layout
+from dtwin.links import layout
 from dtwin.serve.band import COVARIANCE, Band
 from dtwin.serve.builder import GraphBuilder
 from dtwin.serve.bundle_file import create_bundle

@@ -25,7 +25,7 @@ import pandas as pd
 from mlflow.models import infer_signature, set_model
 from sklearn.ensemble import RandomForestRegressor
 
-from dtwin.features.motion import PATH_INPUT_UNITS
+from dtwin.features.path_inputs import PATH_INPUT_UNITS
 from dtwin.serve.builder import GraphBuilder
 from dtwin.serve.bundle_file import create_bundle, load_bundle, save_bundle
 from dtwin.serve.interface import Input, Output

@@ -24,11 +24,11 @@ from dtwin.config import Home
 from dtwin.errors import DtwinError
 from dtwin.lake.store import Lake
 from dtwin.schema import Campaign, Run, RunMeta, SignalGroup
-from dtwin.serve.barred import bar, barred_why
 from dtwin.serve.builder import GraphBuilder
 from dtwin.serve.bundle_file import create_bundle, load_bundle, save_bundle
 from dtwin.serve.interface import Input, Output
 from dtwin.serve.pointer import machine_folder, on_trial, read_machine, resolve, write_machine, write_pointer
+from dtwin.serve.withdrawn import stop_serving, withdrawn_why
 from dtwin.twins.verbs import Twins
 
 FLIPS, SEED = 10_000, 1
@@ -74,7 +74,7 @@ def promoted(home: Home) -> None:
     """A champion, a version on trial, a tool and two withdrawn versions, as promotion writes them."""
     write_machine("cobot-a", home, {"type": "ur10e", "tcp_mm": [0.0, 1.5, 158.3]})
     for version in (1, 2):
-        bar("cobot-a", home, version, "worse with the correction")
+        stop_serving("cobot-a", home, version, "worse with the correction")
     for version, state in ((3, "champion"), (4, "trial")):
         g = GraphBuilder()
         made = create_bundle(
@@ -101,7 +101,7 @@ def twins_of(home: Home) -> Any:
 
 def served_of(home: Home) -> Any:
     found: list[Any] = [on_trial("cobot-a", home), read_machine("cobot-a", home)]
-    found += [barred_why("cobot-a", home, version) for version in range(6)]
+    found += [withdrawn_why("cobot-a", home, version) for version in range(6)]
     for model in ("latest", "trial"):
         resolved = resolve(model, "cobot-a", home)
         compiled = load_bundle(resolved.path, "cobot-a")

@@ -25,9 +25,9 @@ from typing import Any
 
 import numpy as np
 
-from dtwin.features.motion import PATH_INPUT_UNITS, PATH_INPUTS
+from dtwin.features.path_inputs import PATH_INPUT_UNITS, PATH_INPUTS
 from dtwin.features.windows import WindowContract
-from dtwin.links import state as layout
+from dtwin.links import layout
 from dtwin.links.ur import UrLink
 from dtwin.serve._timing import LoopTiming
 from dtwin.serve.builder import GraphBuilder

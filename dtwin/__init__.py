@@ -8,22 +8,22 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from dtwin.errors import DtwinError as DtwinError
     from dtwin.errors import InputError as InputError
+    from dtwin.notebook.answers import ComparisonResult as ComparisonResult
+    from dtwin.notebook.answers import DiagnosisResult as DiagnosisResult
+    from dtwin.notebook.answers import IngestResult as IngestResult
+    from dtwin.notebook.answers import TwinResult as TwinResult
     from dtwin.notebook.open_home import OpenHome as OpenHome
     from dtwin.notebook.open_home import open_home as open_home
-    from dtwin.notebook.results import ComparisonResult as ComparisonResult
-    from dtwin.notebook.results import DiagnosisResult as DiagnosisResult
-    from dtwin.notebook.results import IngestResult as IngestResult
-    from dtwin.notebook.results import TwinResult as TwinResult
 
 __version__ = "0.1.0"
 
 _PLACES = {
     "open_home": "notebook.open_home",
     "OpenHome": "notebook.open_home",
-    "IngestResult": "notebook.results",
-    "TwinResult": "notebook.results",
-    "ComparisonResult": "notebook.results",
-    "DiagnosisResult": "notebook.results",
+    "IngestResult": "notebook.answers",
+    "TwinResult": "notebook.answers",
+    "ComparisonResult": "notebook.answers",
+    "DiagnosisResult": "notebook.answers",
     "DtwinError": "errors",
     "InputError": "errors",
 }

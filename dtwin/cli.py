@@ -18,7 +18,7 @@ from dtwin.commands import register
 from dtwin.commands.tasks import ByTask, Commands, EndedEarly
 from dtwin.config import home, quiet_environment
 from dtwin.errors import EXIT_INTERRUPTED, DtwinError, InputError, MissingPart
-from dtwin.faults import fault_of
+from dtwin.failures import fault_of
 
 _BEGIN = """\b
 New here?

@@ -33,7 +33,7 @@ from dtwin.pipeline.desk import Desk
 from dtwin.plan import EvidencePlan, Plan
 from dtwin.progress import Progress, StageProgress
 from dtwin.report.checking import check_source
-from dtwin.train.evidence import Evidence
+from dtwin.train.closed_loop import Evidence
 from dtwin.train.registry import RegisteredVersion, Registry
 from dtwin.twins.on_campaign import TwinView, look_at
 from flows import _told  # noqa: F401 - every flow imports this module

@@ -15,7 +15,7 @@ from dtwin.errors import DtwinError
 from dtwin.lifecycle.train import Registered
 from dtwin.pipeline.measuring import FeatureReport
 from dtwin.plan import EvidencePlan, Plan
-from dtwin.train.evidence import Evidence
+from dtwin.train.closed_loop import Evidence
 from dtwin.train.registry import RegisteredVersion
 from flows import _artifacts, _tasks
 from flows.diagnose import publish_figures

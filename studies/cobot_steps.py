@@ -18,7 +18,7 @@ from dtwin.pipeline import measuring
 from dtwin.plan import EvidencePlan, Plan
 from dtwin.progress import Progress
 from dtwin.report.checking import check_source
-from dtwin.train.evidence import Evidence
+from dtwin.train.closed_loop import Evidence
 from dtwin.train.registry import RegisteredVersion
 from studies.wall_clock import Circle, serve_wall_clock
 

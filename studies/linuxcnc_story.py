@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from dtwin.acquire.linuxcnc import DIRECTIONS, MACHINE, CirclePlan, run_circles, run_of, write_circles
+from dtwin.acquire.linuxcnc_circles import DIRECTIONS, MACHINE, CirclePlan, run_circles, run_of, write_circles
 from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.lifecycle.evidence import compute_measured, make_champion
@@ -17,8 +17,8 @@ from dtwin.lifecycle.export import Request, export, source_of
 from dtwin.lifecycle.train import put_on_trial
 from dtwin.machines.linuxcnc.circles import Circle, Trace
 from dtwin.machines.linuxcnc.configuration import MillFaults
-from dtwin.machines.linuxcnc.session import LinuxcncSession, require_linuxcnc
-from dtwin.pipeline.linuxcnc import LiveCorrection, LiveTrace, named, served_figures
+from dtwin.machines.linuxcnc.instance import LinuxcncSession, require_linuxcnc
+from dtwin.pipeline.linuxcnc_correction import LiveCorrection, LiveTrace, named, served_figures
 from dtwin.progress import Progress
 from dtwin.schema import Floats, Run
 from dtwin.serve.bundle import Bundle

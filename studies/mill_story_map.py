@@ -15,7 +15,7 @@ from dtwin.schema import Floats, Run
 from dtwin.serve.builder import Expression, GraphBuilder
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.bundle_file import create_bundle
-from dtwin.serve.export import to_text
+from dtwin.serve.graph_code import to_text
 from dtwin.serve.interface import Input, Output, Provenance, SafetyLimits
 from dtwin.statistics import rms
 from dtwin.train.dataset import TICK_HZ

@@ -15,7 +15,7 @@ from dtwin.machines.mill_parameters import CircularTest, NoiseParameters
 from dtwin.progress import Progress, silent
 from dtwin.schema import Run
 from dtwin.serve.bundle import Bundle
-from dtwin.train.evidence import Evidence
+from dtwin.train.closed_loop import Evidence
 from dtwin.train.oracle import MeasuredWays, guard_shares, numbered
 from dtwin.train.results import condition_name
 from studies.thesis_mill import (

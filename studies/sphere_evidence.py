@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from dtwin.machines._recording import RunTicks
+from dtwin.machines._instrument_record import RunTicks
 from dtwin.machines.cobot import VirtualCobot
 from dtwin.machines.controller import CobotController
 from dtwin.machines.motion import MotionPlan

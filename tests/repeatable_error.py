@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from dtwin.machines import mechanism as m_
-from dtwin.machines._recording import _path_geometry
+from dtwin.machines._instrument_record import _path_geometry
 from dtwin.machines.cobot import VirtualCobot
 from dtwin.machines.motion import CircleCondition
 from dtwin.schema import Floats

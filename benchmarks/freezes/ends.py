@@ -28,7 +28,7 @@ from dtwin.links.linuxcnc import Bridge, LinuxcncLink
 from dtwin.links.state_feed import _REQUIRED
 from dtwin.links.virtual_key import proof
 from dtwin.machines.axis_server import AxisServer
-from dtwin.machines.linuxcnc.session import LinuxcncSession
+from dtwin.machines.linuxcnc.instance import LinuxcncSession
 from dtwin.schema import Floats
 from dtwin.serve.builder import GraphBuilder
 from dtwin.serve.bundle import Bundle

@@ -9,7 +9,7 @@ import numpy as np
 
 from dtwin.acquire.instrument import Description, Reading
 from dtwin.errors import DeviceError
-from dtwin.links import state as layout
+from dtwin.links import layout
 from dtwin.links.opened import OpenAndClose
 from dtwin.links.ur import UrLink
 from dtwin.schema import Finding, Floats

@@ -32,8 +32,8 @@ def error_budget(
     as_json: Json = False,
 ) -> None:
     """How much of the error each cause makes, and what would be left after its remedy."""
-    from dtwin.pipeline.twin_report import diagnosed
-    from dtwin.report.budget import budget_text
+    from dtwin.pipeline.reported_twin import diagnosed
+    from dtwin.report.error_budget import budget_text
     from dtwin.report.faults import undecided_lines, undecided_of
     from dtwin.twins.budget_spread import spread_as_dict
     from dtwin.twins.of_kind import paths_of

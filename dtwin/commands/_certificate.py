@@ -23,7 +23,7 @@ def certificate(
 ) -> None:
     """Write the test sheet of a campaign as a document to sign: machine, instrument, decision, figures, pictures."""
     from dtwin.acquire.campaign_name import in_lake
-    from dtwin.pipeline.certificate import certificate as certificate_of
+    from dtwin.pipeline.campaign_certificate import certificate as certificate_of
     from dtwin.report.pdf import require_browser, write_document
 
     if out.suffix not in (".html", ".pdf"):

@@ -13,7 +13,7 @@ from dtwin.errors import InputError
 
 if TYPE_CHECKING:
     from dtwin.machines.linuxcnc.circles import Circle, Trace
-    from dtwin.machines.linuxcnc.session import LinuxcncSession
+    from dtwin.machines.linuxcnc.instance import LinuxcncSession
     from dtwin.serve.bundle import Bundle
 
 
@@ -28,7 +28,7 @@ app = typer.Typer(
 def check(as_json: Json = False) -> None:
     """Start LinuxCNC once, contained, and say that it works or what is missing."""
     from dtwin.links.linuxcnc import Bridge
-    from dtwin.machines.linuxcnc.session import LinuxcncSession
+    from dtwin.machines.linuxcnc.instance import LinuxcncSession
 
     with LinuxcncSession() as session, Bridge(session.socket_path) as bridge:
         said = bridge.ask(do="status")
@@ -60,9 +60,9 @@ def measure(
     as_json: Json = False,
 ) -> None:
     """Run circles both ways, recorded by the controller's sampler, as a campaign folder."""
-    from dtwin.acquire.linuxcnc import CirclePlan, require_free, write_circles
+    from dtwin.acquire.linuxcnc_circles import CirclePlan, require_free, write_circles
     from dtwin.machines.linuxcnc.configuration import MillFaults, read_faults
-    from dtwin.machines.linuxcnc.session import LinuxcncSession
+    from dtwin.machines.linuxcnc.instance import LinuxcncSession
 
     require_free(out)
     wrong = MillFaults() if faults is None else read_faults(faults)
@@ -88,10 +88,10 @@ def _measured(
 ) -> tuple[list[Trace], dict[str, object]]:
     line = ProgressLine("circles", quiet=quiet)
     if bundle is None:
-        from dtwin.acquire.linuxcnc import run_circles
+        from dtwin.acquire.linuxcnc_circles import run_circles
 
         return run_circles(session, circles), {}
-    from dtwin.pipeline.linuxcnc import measure_live, served_figures
+    from dtwin.pipeline.linuxcnc_correction import measure_live, served_figures
 
     live = measure_live(session, bundle, circles, line)
     return [m.trace for m in live], served_figures(live)
@@ -100,7 +100,7 @@ def _measured(
 def _bundle(model: str | None) -> Bundle | None:
     if model is None:
         return None
-    from dtwin.acquire.linuxcnc import MACHINE
+    from dtwin.acquire.linuxcnc_circles import MACHINE
     from dtwin.serve.bundle import Bundle
     from dtwin.serve.bundle_file import MAX_BYTES, read_json
     from dtwin.serve.pointer import resolve

@@ -101,7 +101,7 @@ def remove(name: Name, as_json: Json = False) -> None:
 @app.command("list")
 def list_machines(as_json: Json = False) -> None:
     """List machines that have a record or a campaign."""
-    from dtwin.pipeline.catalogue import twin_lines
+    from dtwin.pipeline.home_catalogue import twin_lines
     from dtwin.pipeline.machine_history import alarms_of, machine_overviews
 
     twins = twin_lines(home())

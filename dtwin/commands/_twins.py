@@ -314,7 +314,7 @@ def show_twin(
 ) -> None:
     """Show a twin with its parameters; --html writes the whole story as one page."""
     from dtwin.physics.twin import Twin
-    from dtwin.pipeline.twin_report import diagnosed, write_report
+    from dtwin.pipeline.reported_twin import diagnosed, write_report
     from dtwin.report.faults import sized_effects, undecided_lines, undecided_of
     from dtwin.report.twin_of_kind import report_of
     from dtwin.twins.confirm import interventions

@@ -1,3 +1,3 @@
 """Signal features, alignment of streams, and path inputs; the same code trains and serves."""
 
-__all__ = ["alignment", "catalogue", "motion", "windows"]
+__all__ = ["alignment", "catalogue", "path_inputs", "windows"]

@@ -17,10 +17,10 @@ if TYPE_CHECKING:
     from dtwin.machines.axis_server import Clock, ServedMachine
     from dtwin.progress import Progress
     from dtwin.serve.bundle import Bundle
-    from dtwin.train.evidence import Evidence
+    from dtwin.train.closed_loop import Evidence
     from dtwin.train.oracle import MeasuredWays
-    from dtwin.train.recheck import CheckedRun
     from dtwin.train.registry import RegisteredVersion, Registry
+    from dtwin.train.still_helps import CheckedRun
 
 FROM_THE_LAKE = "dtwin evidence VERSION --without C --with C computes it from campaigns of the lake"
 """Where evidence comes from when no virtual machine gives it."""

@@ -11,8 +11,8 @@ from typing import Any
 
 from dtwin.physics.twin import Twin
 from dtwin.serve.bundle import Bundle
-from dtwin.serve.export import identifier
 from dtwin.serve.export_plc import NOT_RUN
+from dtwin.serve.graph_code import identifier
 
 UNREGISTERED = "not registered"
 

@@ -18,7 +18,7 @@ from dtwin.report.campaign import evidence_section, evidence_table
 from dtwin.report.html import page
 from dtwin.schema import Campaign, fresh_name
 from dtwin.serve.bundle import Bundle
-from dtwin.train.evidence import WITH, WITHOUT, Evidence, evidence_of_runs
+from dtwin.train.closed_loop import WITH, WITHOUT, Evidence, evidence_of_runs
 from dtwin.train.evidence_record import gathered, keep, newest, require_same
 from dtwin.train.promotion import promote
 from dtwin.train.registry import RegisteredVersion, Registry

@@ -23,8 +23,8 @@ from dtwin.physics.effect import Effect
 from dtwin.physics.twin import Twin
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.bundle_file import MAX_BYTES, read_json
-from dtwin.serve.export import identifier, to_c, to_latex, to_python
 from dtwin.serve.export_plc import NOT_RUN, to_structured_text, to_urscript
+from dtwin.serve.graph_code import identifier, to_c, to_latex, to_python
 from dtwin.serve.pointer import NAMES, resolve
 from dtwin.train.promotion import state_of
 from dtwin.train.registry import RegisteredVersion, Registry

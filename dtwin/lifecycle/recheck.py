@@ -16,15 +16,15 @@ from dtwin.lifecycle.train import geometry_of
 from dtwin.progress import Progress, silent
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.pointer import renew_proof
-from dtwin.train.evidence import WITHOUT, Evidence
+from dtwin.train.closed_loop import WITHOUT, Evidence
 from dtwin.train.evidence_record import newest
 from dtwin.train.promotion import withdraw
-from dtwin.train.recheck import Recheck, judge, judge_evidence
 from dtwin.train.registry import RegisteredVersion, Registry
+from dtwin.train.still_helps import Recheck, judge, judge_evidence
 
 if TYPE_CHECKING:
     from dtwin.lifecycle.evidence import Looked
-    from dtwin.train.recheck import CheckedRun
+    from dtwin.train.still_helps import CheckedRun
 
 # Days after those of the evidence for promotion: copies of its runs would prove nothing.
 _LATER = 500
@@ -34,7 +34,7 @@ _LATER = 500
 class Rechecked:
     """A check and what came of it.
 
-    ``withdrawn``: whether the champion was barred; sessions that serve it release within a second or two.
+    ``withdrawn``: whether the champion was withdrawn; sessions that serve it release within a second or two.
     ``restored``: version that is champion now, empty when nothing is served any more.
     """
 

@@ -10,7 +10,7 @@ import time
 from abc import abstractmethod
 
 from dtwin.errors import DeviceError, InputError
-from dtwin.links import state as layout
+from dtwin.links import layout
 from dtwin.links.opened import OpenAndClose
 
 _CONNECT_S = 2.0

@@ -14,7 +14,7 @@ import os
 import numpy as np
 from numpy.typing import NDArray
 
-from dtwin.links import state as layout
+from dtwin.links import layout
 
 _Floats = NDArray[np.float64]
 

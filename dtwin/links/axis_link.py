@@ -16,9 +16,9 @@ from typing import Literal
 import numpy as np
 
 from dtwin.errors import DeviceError, InputError
-from dtwin.links import state as layout
+from dtwin.links import layout
 from dtwin.links._line_socket import LineSocket, StateLines
-from dtwin.links.state import Floats, LiveValues
+from dtwin.links.layout import Floats, LiveValues
 from dtwin.links.virtual_key import new_nonce
 from dtwin.units import is_number
 

@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 
 from dtwin.errors import DeviceError
-from dtwin.links import state as layout
+from dtwin.links import layout
+from dtwin.links.layout import Floats
 from dtwin.links.opened import OpenAndClose
-from dtwin.links.state import Floats
 
 _ANSWER_S = 20.0
 _EVERY_CYCLES = 2

@@ -1,6 +1,6 @@
 """States of a control that speaks no RTDE: lines of JSON over TCP, from a bridge beside it.
 
-Each line is one object with the names of ``dtwin.links.state``. The bridge is the user's: it reads
+Each line is one object with the names of ``dtwin.links.layout``. The bridge is the user's: it reads
 the control by its maker's library and serves the newest state to whoever connects.
 """
 
@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import math
 
-from dtwin.links import state as layout
+from dtwin.links import layout
 from dtwin.links._line_socket import LineSocket, StateLines
 
 _REQUIRED: tuple[str, ...] = (

@@ -21,7 +21,7 @@ from typing import IO, Any
 import numpy as np
 
 from dtwin.errors import DeviceError, InputError
-from dtwin.links import state as layout
+from dtwin.links import layout
 from dtwin.links._ur_memory import SharedMemory
 from dtwin.links.opened import Closed
 from dtwin.processes import end_child

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dtwin.errors import InputError
 from dtwin.links import ur_registers as registers
-from dtwin.links.state import APPLIED_SEQUENCE
+from dtwin.links.layout import APPLIED_SEQUENCE
 
 _TICK_HZ = 500
 _LARGEST_UM = 2000.0

@@ -6,7 +6,7 @@ registers those that its receive interface can read (12 to 19).
 
 from __future__ import annotations
 
-from dtwin.links import state as layout
+from dtwin.links import layout
 
 INPUT_OFFSET_X = 18
 """First of three input double registers: offset in um along base x, y, z."""

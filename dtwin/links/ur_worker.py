@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 
-from dtwin.links import state as layout
+from dtwin.links import layout
 from dtwin.links import ur_registers as registers
 from dtwin.links._ur_memory import SharedMemory
 

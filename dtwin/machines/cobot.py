@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 
 from dtwin.kinematics import UR10E, normal_unit, plane_axes
-from dtwin.links import state as layout
+from dtwin.links import layout
 from dtwin.machines import mechanism as m_
+from dtwin.machines._instrument_record import CobotRecording, RunTicks, Setup, record
 from dtwin.machines._joints import gravity_torque_kernel, transmission_table, wind_up_kernel
-from dtwin.machines._recording import CobotRecording, RunTicks, Setup, record
 from dtwin.machines._sensors import sensor_matrix
 from dtwin.machines.controller import CircleController
 from dtwin.machines.mechanism import Mechanism, build_mechanism, run_kernel, start_memory

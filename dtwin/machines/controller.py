@@ -7,9 +7,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from dtwin.links import state as layout
+from dtwin.links import layout
 from dtwin.machines import mechanism as m_
-from dtwin.machines._recording import CobotRecording, RunTicks
+from dtwin.machines._instrument_record import CobotRecording, RunTicks
 from dtwin.machines.mechanism import Mechanism, run_kernel, set_speed_factor, tick_kernel
 from dtwin.machines.motion import CircleCondition, MotionPlan
 from dtwin.schema import Floats

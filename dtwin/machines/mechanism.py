@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from dtwin.kinematics import UR10E, forward_kernel, inverse_kernel, kernel, long_kernel
-from dtwin.links import state as layout
+from dtwin.links import layout
 from dtwin.machines import _joints as j_
 from dtwin.machines._joints import (
     gravity_torque_kernel,

@@ -1,3 +1,3 @@
 """The face of dtwin in a notebook: an open home, and what its verbs return."""
 
-__all__ = ["open_home", "results"]
+__all__ = ["answers", "open_home"]

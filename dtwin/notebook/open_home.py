@@ -21,8 +21,8 @@ from dtwin.errors import InputError, StoreError
 from dtwin.kinds.machine import Request
 from dtwin.kinds.registry import kind_named, machine_named
 from dtwin.lake.store import Lake
-from dtwin.notebook._told import path_of, plain, require_flag, require_seed, require_text, texts_of, version_of
-from dtwin.notebook.results import (
+from dtwin.notebook._arguments import path_of, plain, require_flag, require_seed, require_text, texts_of, version_of
+from dtwin.notebook.answers import (
     ComparisonResult,
     DiagnosisResult,
     IngestResult,

@@ -64,7 +64,7 @@ class Hunt:
         self._most = _CARRIED * problem.obs.n_bins if problem.obs.there_and_back else np.inf
         # Of each entry of the dictionary.
         self._prices, self._widths, self._parities = np.empty(0), np.empty(0), np.empty(0, dtype=str)
-        self._barred: set[str] = set()
+        self._impossible: set[str] = set()
         # Sets of labels of which no two effects are one.
         self._apart: set[frozenset[str]] = set()
 
@@ -102,11 +102,11 @@ class Hunt:
 
     def _without(self, labels: set[str], start: Sequence[Entry], best: list[Entry]) -> list[Entry]:
         """Return the best set without some effects, reached from the best with them, or from the start where that leaves clearly more."""
-        self._barred |= labels
+        self._impossible |= labels
         most = (1.0 + _CLEARLY) * self.left(best)
-        other = self.run([entry for entry in best if entry.label not in self._barred])
+        other = self.run([entry for entry in best if entry.label not in self._impossible])
         if self.left(other) > most:
-            again = self.run([entry for entry in start if entry.label not in self._barred])
+            again = self.run([entry for entry in start if entry.label not in self._impossible])
             other = min(other, again, key=self._cost)
         # On one circle a bend is the oval of many effects, and an oval that is missed may cost more than a name.
         return best if self._on_one_circle and self.left(other) > most else other
@@ -141,7 +141,7 @@ class Hunt:
             self._parities = np.append(self._parities, [entry.parity for entry in new])
         gains = self.dictionary.gains(chosen)
         worth = gains - self._prices
-        worth[self.dictionary.numbers_of({entry.label for entry in chosen} | self._barred)] = -np.inf
+        worth[self.dictionary.numbers_of({entry.label for entry in chosen} | self._impossible)] = -np.inf
         worth[self._too_many(chosen)] = -np.inf
         if np.isfinite(fewer):
             worth[[entry.free >= fewer for entry in entries]] = -np.inf
@@ -253,7 +253,7 @@ class Hunt:
             explained = self.left(rest) - self.left(chosen)
             for name in alike:
                 gains = self.dictionary.gains(rest)
-                wanted = {f"{name} {axis}"} - self._barred
+                wanted = {f"{name} {axis}"} - self._impossible
                 numbers = [n for n in self.dictionary.numbers_of(wanted) if gains[n] > _NEAR * explained]
                 start = self.dictionary.entries[max(numbers, key=gains.__getitem__)] if numbers else None
                 if start is not None and start.term.shape:

@@ -12,7 +12,7 @@ import numpy as np
 from dtwin.acquire.programs import gcode, urscript
 from dtwin.errors import InputError
 from dtwin.plan import Plan, PlannedTest
-from dtwin.train.evidence import FEWEST_REPEATS, FEWEST_RUNS
+from dtwin.train.closed_loop import FEWEST_REPEATS, FEWEST_RUNS
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from dtwin.physics.effect import Effect
 from dtwin.physics.library import Library
 from dtwin.physics.twin import Twin
 from dtwin.pipeline._test_points import add_figures, add_sizes, sizes
-from dtwin.pipeline.catalogue import Overview, TwinLine, catalogue, twin_lines
+from dtwin.pipeline.home_catalogue import Overview, TwinLine, catalogue, twin_lines
 from dtwin.pipeline.kept import kept, kept_already, sheet_of_campaign, stamp_of, variation_of
 from dtwin.pipeline.machine_series import ALARMS, Point, Series, judged_series, next_test
 from dtwin.progress import Progress, silent

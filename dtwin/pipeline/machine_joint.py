@@ -19,7 +19,7 @@ from dtwin.physics.library import Library
 from dtwin.pipeline.kept import kept, kept_already, stamp_of
 from dtwin.pipeline.machine_history import require_machine
 from dtwin.progress import Progress, silent
-from dtwin.report.joint import joint_lines
+from dtwin.report.machine_tests import joint_lines
 from dtwin.twins.diagnosing_code import diagnosing_code
 from dtwin.twins.measured import load
 

@@ -14,7 +14,7 @@ from dtwin.errors import InputError
 from dtwin.kinds.registry import kind_named
 from dtwin.lake.store import Lake
 from dtwin.machine_record import events_between, events_of
-from dtwin.pipeline.certificate import earlier_test, when
+from dtwin.pipeline.campaign_certificate import earlier_test, when
 from dtwin.pipeline.kept import sheet_of_campaign, stamp_of, variation_of
 from dtwin.pipeline.machine_history import instrument_of, record_of
 from dtwin.report.sheet import number_of

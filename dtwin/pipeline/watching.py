@@ -19,7 +19,7 @@ from dtwin.errors import DtwinError, StoreError
 from dtwin.lake.store import Lake
 from dtwin.locks import locked
 from dtwin.machine_record import recorded
-from dtwin.pipeline.catalogue import catalogue
+from dtwin.pipeline.home_catalogue import catalogue
 
 _Outcome = Literal["ingested", "unchanged", "unknown machine", "not accepted", "not reachable"]
 _SETTLE_S = 10.0

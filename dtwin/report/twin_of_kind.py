@@ -94,12 +94,12 @@ def said_by_runs(findings: Sequence[Mapping[str, Any]]) -> str:
 def report_of(document: Mapping[str, Any]) -> TwinReport:
     """Return what tells a twin, a comparison or a diagnosis, by what its ``as_dict`` gives."""
     if "members" in document:
-        from dtwin.report import machine_twin
+        from dtwin.report import twin_of_machine
 
-        return machine_twin
+        return twin_of_machine
     if "campaigns" in document:
-        from dtwin.report import several
+        from dtwin.report import twin_of_campaigns
 
-        return several
+        return twin_of_campaigns
     # A twin of tests of a path names no kind.
     return kind_named(document.get("kind", DEFAULT_KIND)).twin_report

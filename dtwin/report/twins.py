@@ -13,7 +13,7 @@ from dtwin.physics import localise
 from dtwin.physics.gridding import CIRCLE
 from dtwin.physics.observations import Observations
 from dtwin.physics.twin import Twin, data_lines
-from dtwin.report.encoder_split import encoder_section, encoder_text, tells
+from dtwin.report.encoder_share import encoder_section, encoder_text, tells
 from dtwin.report.faults import faults, not_told, title_of, told_of, undecided_lines, with_k2
 from dtwin.report.html import Part, Section, Table, parts_text, told_section
 from dtwin.report.text import gain_words, listed, micrometres, table

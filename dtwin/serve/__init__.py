@@ -2,7 +2,6 @@
 
 __all__ = [
     "analogue_link",
-    "barred",
     "builder",
     "bundle_file",
     "controller_kind",
@@ -16,4 +15,5 @@ __all__ = [
     "serve_request",
     "session",
     "targets",
+    "withdrawn",
 ]

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from dtwin.errors import DtwinError
 from dtwin.features.tone_window import COMMAND_PHASE, COMMANDED, SENT
 from dtwin.features.windows import WindowContract
-from dtwin.links.state import LiveValues
+from dtwin.links.layout import LiveValues
 from dtwin.schema import Floats
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.decision import STANDARD_INPUTS

@@ -7,7 +7,7 @@ import math
 import time
 
 from dtwin.errors import DeviceError
-from dtwin.links import state as layout
+from dtwin.links import layout
 from dtwin.links.axis_link import AxisLink
 from dtwin.schema import Floats
 from dtwin.serve._axis_inputs import AxisInputs

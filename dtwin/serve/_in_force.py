@@ -13,7 +13,7 @@ import numpy as np
 
 from dtwin.errors import DeviceError
 from dtwin.features.compiled import compiled
-from dtwin.links.state import SEQUENCE_LIMIT
+from dtwin.links.layout import SEQUENCE_LIMIT
 from dtwin.schema import Floats
 
 _REMEMBERED = 256

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from typing import Protocol
 
 from dtwin.errors import DeviceError, DtwinError, GateRefusal, InputError
-from dtwin.links import state as layout
+from dtwin.links import layout
 from dtwin.serve._journal import LINK_LOST, RECONNECTED, Note
 from dtwin.serve._program_watch import fault_of
 from dtwin.serve.decision import Decision

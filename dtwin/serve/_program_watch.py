@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from dtwin.errors import DeviceError, DtwinError, GateRefusal
-from dtwin.links import state as layout
+from dtwin.links import layout
 from dtwin.schema import Floats
 from dtwin.serve._journal import Bucket, Note, no_journal
 from dtwin.serve.safety import REASONS

@@ -8,7 +8,7 @@ import numpy as np
 
 from dtwin.features.compiled import compiled
 from dtwin.kinematics import KinematicChain
-from dtwin.links import state as layout
+from dtwin.links import layout
 from dtwin.schema import Floats
 
 _TURN_RAD = 2.0 * np.pi

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from dtwin.errors import DeviceError, InputError
-from dtwin.links import state as layout
+from dtwin.links import layout
 from dtwin.links.analogue import TRAVEL_UM, AnalogueOutput, AxisCalibration
 from dtwin.links.analogue_calibration import load
 from dtwin.links.state_feed import StateFeed

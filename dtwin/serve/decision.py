@@ -13,10 +13,10 @@ from dtwin.errors import DtwinError, InputError
 from dtwin.features.catalogue import feature_column
 from dtwin.features.compiled import compiled
 from dtwin.features.kernel import CONSTANT, NOT_FINITE, VALID
-from dtwin.features.motion import PATH_INPUTS, PathInputs
+from dtwin.features.path_inputs import PATH_INPUTS, PathInputs
 from dtwin.features.windows import WindowContract
-from dtwin.links import state as layout
-from dtwin.links.state import LiveValues
+from dtwin.links import layout
+from dtwin.links.layout import LiveValues
 from dtwin.schema import Floats
 from dtwin.serve._state_limits import any_machine, impossible, possible
 from dtwin.serve.direction import Direction

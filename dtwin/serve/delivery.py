@@ -25,14 +25,14 @@ from dtwin.serve._machine_file import machine_folder
 from dtwin.serve.bundle_file import MAX_BYTES, load_bundle, parse_json, read_bytes, replace_bundle
 from dtwin.serve.interface import mapping
 from dtwin.serve.pointer import forget_replaced, named_file, resolve
-from dtwin.serve.sealed import BARRED, CHAMPION, MACHINE, TRIAL, locked, read_sealed, write_sealed
+from dtwin.serve.sealed import CHAMPION, MACHINE, TRIAL, WITHDRAWN, locked, read_sealed, write_sealed
 
 KEY_FILE = "delivery-key"
 NONCE, MAC = "X-Dtwin-Nonce", "X-Dtwin-Mac"
 LARGEST = 4 * MAX_BYTES
 _KEY_BYTES, _LONGEST = 32, 128
 # What is withdrawn comes first, and pointers after the bundles that they name.
-_IN_ORDER = (BARRED, MACHINE, CHAMPION, TRIAL)
+_IN_ORDER = (WITHDRAWN, MACHINE, CHAMPION, TRIAL)
 _POINTERS = {CHAMPION: "latest", TRIAL: "trial"}
 
 

@@ -12,8 +12,8 @@ from collections.abc import Sequence
 from decimal import Decimal
 
 from dtwin.errors import InputError
-from dtwin.serve.export import Style, assignments, identifier, operations_with
 from dtwin.serve.graph import Graph, Table
+from dtwin.serve.graph_code import Style, assignments, identifier, operations_with
 
 NOT_RUN = "Checked by dtwin's own evaluator of this grammar; never run on a controller."
 _WORD = re.compile(r"[A-Za-z][A-Za-z0-9_]*")

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dtwin.config import Home
-from dtwin.links import state as layout
+from dtwin.links import layout
 from dtwin.schema import Floats
 from dtwin.serve import safety
 from dtwin.serve._machine_file import machine_folder

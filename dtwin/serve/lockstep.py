@@ -9,7 +9,7 @@ from typing import Protocol
 import numpy as np
 
 from dtwin.errors import DeviceError
-from dtwin.links import state as layout
+from dtwin.links import layout
 from dtwin.schema import Floats
 from dtwin.serve._timing import LoopTiming
 from dtwin.serve.decision import Decision

@@ -11,7 +11,7 @@ from typing import Any, Literal, Protocol
 import numpy as np
 
 from dtwin.errors import DeviceError
-from dtwin.links import state as layout
+from dtwin.links import layout
 from dtwin.schema import Floats
 from dtwin.serve._in_force import InForce
 from dtwin.serve._journal import Note, Sparing, no_journal

@@ -20,11 +20,11 @@ from dtwin.errors import GateRefusal, InputError
 from dtwin.schema import require_name
 from dtwin.serve._fields import one_of, only_fields, text, whole
 from dtwin.serve._machine_file import MachineGeometry, machine_folder, read_machine, write_machine
-from dtwin.serve.barred import barred_why
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.bundle_file import MAX_BYTES, parse_json, read_bytes, replaced
 from dtwin.serve.interface import mapping
 from dtwin.serve.sealed import CHAMPION, TRIAL, locked, read_sealed, write_sealed
+from dtwin.serve.withdrawn import named_today, withdrawn_why
 
 __all__ = [
     "MachineGeometry",
@@ -40,7 +40,7 @@ __all__ = [
     "write_pointer",
 ]
 
-_STATES = ("champion", "trial", "candidate", "barred")
+_STATES = ("champion", "trial", "candidate", "withdrawn")
 _UNPROMOTED = "unpromoted"
 _SERVED_LIVE = ("champion", "trial")
 _POINTERS = {"latest": CHAMPION, "trial": TRIAL}
@@ -58,7 +58,7 @@ class Resolved:
         sha256: Checksum of that file's bytes.
         model_sha256: ``Bundle.model_sha256``: what is shown, and what runs and journal name.
         version: Version in the registry, as the bundle itself says.
-        state: ``champion``, ``trial``, ``candidate`` or ``barred``; ``unpromoted`` for a file that no pointer names.
+        state: ``champion``, ``trial``, ``candidate`` or ``withdrawn``; ``unpromoted`` for a file that no pointer names.
         proved: ISO time at which it was last shown in a closed loop that it helps; empty when it never was.
     """
 
@@ -82,7 +82,7 @@ def write_pointer(
     home: Home,
     bundle: Path,
     version: int,
-    state: Literal["champion", "trial", "candidate", "barred"],
+    state: Literal["champion", "trial", "candidate", "withdrawn"],
     proved: str = "",
 ) -> Path:
     """Point to a bundle, atomically, and return the pointer's path.
@@ -91,7 +91,7 @@ def write_pointer(
 
     Args:
         bundle: Bundle's file; it must lie directly in the machine's folder.
-        state: What the version may be used for. One of "champion", "trial", "candidate", "barred".
+        state: What the version may be used for. One of "champion", "trial", "candidate", "withdrawn".
         proved: As in ``Resolved``.
 
     Raises:
@@ -238,9 +238,9 @@ def resolve(model: str, machine: str | None, home: Home, *, harmless: bool = Fal
             allowed=f"{', '.join(NAMES)}, or the path of a bundle's .json file",
             hint="dtwin promote moves the pointer that latest follows",
         )
-    why = barred_why(resolved.machine, home, resolved.version)
+    why = withdrawn_why(resolved.machine, home, resolved.version)
     if why and resolved.state in _SERVED_LIVE:
-        resolved = dataclasses.replace(resolved, state="barred")
+        resolved = dataclasses.replace(resolved, state="withdrawn")
     if resolved.state not in _SERVED_LIVE and not harmless:
         raise GateRefusal(
             f"version {resolved.version} is {resolved.state} and may not correct a machine",
@@ -270,8 +270,8 @@ def proven_states(machine: str, said: Mapping[int, str], home: Home) -> dict[int
                 unnamed = "not to be read here: another version of dtwin wrote it"
 
     def state(version: int, tagged: str) -> str:
-        if barred_why(machine, home, version):
-            return "barred"
+        if withdrawn_why(machine, home, version):
+            return "withdrawn"
         return named.get(version, unnamed if tagged in _SERVED_LIVE else tagged)
 
     return {version: state(version, tagged) for version, tagged in said.items()}
@@ -294,7 +294,7 @@ def _follow(model: str, machine: str, home: Home) -> Resolved:
     fields = only_fields(sealed, _FIELDS, str(pointer))
     path = named_file(folder, text(fields["bundle"], "bundle"), text(fields["sha256"], "sha256"))
     states = tuple(state for state in _STATES if (state == "trial") == (model == "trial"))
-    state = one_of(fields["state"], states, "state")
+    state = one_of(named_today(text(fields["state"], "state")), states, "state")
     version = whole(fields["version"], "version")
     sha256 = text(fields["sha256"], "sha256")
     if hashlib.sha256(read_bytes(path, MAX_BYTES)).hexdigest() != sha256:

@@ -20,9 +20,10 @@ from dtwin.locks import take
 from dtwin.serve._fields import only_fields
 from dtwin.serve.bundle_file import json_text, parse_json, read_bytes, write_json
 
-CHAMPION, TRIAL, MACHINE, BARRED = "champion.json", "trial.json", "machine.json", "barred.json"
+# The last has the name that the first homes gave it: what they withdrew stays withdrawn.
+CHAMPION, TRIAL, MACHINE, WITHDRAWN = "champion.json", "trial.json", "machine.json", "barred.json"
 _SEAL = "seal.json"
-SEALED = (CHAMPION, TRIAL, MACHINE, BARRED)
+SEALED = (CHAMPION, TRIAL, MACHINE, WITHDRAWN)
 _LOCK = "seal.lock"
 _MAX_BYTES = 100_000
 # A reader may see the file of before and the seal of after.
@@ -42,7 +43,7 @@ def write_sealed(folder: Path, name: str, content: Mapping[str, Any] | None) -> 
     Whoever changes what is there does both under :func:`locked`.
 
     Args:
-        name: One of ``CHAMPION``, ``TRIAL``, ``MACHINE``, ``BARRED``.
+        name: One of ``CHAMPION``, ``TRIAL``, ``MACHINE``, ``WITHDRAWN``.
         content: JSON-ready; None takes the file away.
 
     Raises:

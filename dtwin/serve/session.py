@@ -25,7 +25,6 @@ from dtwin.serve._lease import lease
 from dtwin.serve._machine_serving import MachineServing, Stop
 from dtwin.serve.analogue_link import NO_TOOL_MM, within_travel
 from dtwin.serve.band import require_fading
-from dtwin.serve.barred import BarredWatch
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.bundle_file import load_bundle
 from dtwin.serve.decision import STANDARD_INPUTS, Decision, SensorSource
@@ -37,6 +36,7 @@ from dtwin.serve.realtime import stop_on_signals
 from dtwin.serve.runtime import CompiledBundle
 from dtwin.serve.serve_request import Served, ServeRequest
 from dtwin.serve.served_time import events_path
+from dtwin.serve.withdrawn import WithdrawalWatch
 
 _Announce = Callable[[str], None]
 OpenSensors = Callable[[WindowContract], AbstractContextManager[SensorSource]]
@@ -132,12 +132,12 @@ def _serve_resolved(
                     corrects=request.mode == "live",
                 )
             )
-        barred = BarredWatch(resolved.machine, home, resolved.version)
+        withdrawn = WithdrawalWatch(resolved.machine, home, resolved.version)
         run: Callable[[Stop], ServeStatus]
         if isinstance(connection, AxisConnection) and connection.clock == "machine":
-            run = partial(serve_machine_clock, connection(), decision, inputs, request, events.note, barred, board)
+            run = partial(serve_machine_clock, connection(), decision, inputs, request, events.note, withdrawn, board)
         else:
-            serving = MachineServing(request.serving(rate_hz), decision, connection, events.note, barred, board)
+            serving = MachineServing(request.serving(rate_hz), decision, connection, events.note, withdrawn, board)
             held.callback(serving.close)
             run = serving.run
         time_text = "until Ctrl-C" if request.duration_s is None else f"{request.duration_s:g} s"

@@ -16,7 +16,7 @@ import numpy as np
 
 from dtwin.errors import InputError
 from dtwin.kinematics import UR10E, plane_axes
-from dtwin.links import state as layout
+from dtwin.links import layout
 from dtwin.schema import Floats
 from dtwin.serve.decision import Decision
 from dtwin.serve.runtime import CompiledBundle

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from dtwin.errors import InputError
 from dtwin.features.infeed import align_infeed
-from dtwin.features.motion import STATE_FIELDS, PathInputs
+from dtwin.features.path_inputs import STATE_FIELDS, PathInputs
 from dtwin.lake.store import Lake
 from dtwin.progress import Progress, silent
 from dtwin.schema import PLANES, Campaign, Floats, Run, RunMeta, SignalGroup

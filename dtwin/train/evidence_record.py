@@ -19,7 +19,7 @@ from dtwin.errors import GateRefusal, InputError
 from dtwin.lake.store import Lake
 from dtwin.schema import Run
 from dtwin.serve.served_time import ServedStretch, served_during, served_stretches
-from dtwin.train.evidence import WITH, WITHOUT, Evidence, EvidenceRun, Way, started_at
+from dtwin.train.closed_loop import WITH, WITHOUT, Evidence, EvidenceRun, Way, started_at
 from dtwin.train.registry import RegisteredVersion, Registry
 from dtwin.train.results import condition_name
 

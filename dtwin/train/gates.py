@@ -8,15 +8,15 @@ from typing import Any
 
 import numpy as np
 
-from dtwin.features.motion import PATH_INPUT_UNITS, PATH_INPUTS
+from dtwin.features.path_inputs import PATH_INPUT_UNITS, PATH_INPUTS
 from dtwin.schema import PLANES
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.direction import Direction
 from dtwin.serve.proof import prove
 from dtwin.serve.runtime import CompiledBundle
 from dtwin.serve.safety import Guard
+from dtwin.train.closed_loop import Evidence
 from dtwin.train.dataset import TICK_HZ
-from dtwin.train.evidence import Evidence
 from dtwin.train.results import condition_name
 
 _LATENCY_BUDGET_US = 100.0

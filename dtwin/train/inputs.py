@@ -8,11 +8,11 @@ import numpy as np
 
 from dtwin.errors import InputError
 from dtwin.features.alignment import align_stops
-from dtwin.features.motion import PATH_INPUTS
+from dtwin.features.path_inputs import PATH_INPUTS
 from dtwin.features.windows import WindowContract, WindowFeatures, batch_features
 from dtwin.schema import Floats
+from dtwin.train.campaign_rows import Rows
 from dtwin.train.dataset import TICK_HZ, TickRun
-from dtwin.train.rows import Rows
 
 WINDOW_FEATURES = ("rms", "peak_amplitude", "mean_frequency", "band_power")
 BAND_HZ = (4.0, 40.0)

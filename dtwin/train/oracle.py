@@ -17,7 +17,7 @@ from dtwin.serve.interface import SafetyLimits
 from dtwin.serve.safety import Guard
 from dtwin.statistics import rms
 from dtwin.train.champion_error import run_errors
-from dtwin.train.evidence import WITH, WITHOUT, Evidence, EvidenceRun, evidence_of_runs
+from dtwin.train.closed_loop import WITH, WITHOUT, Evidence, EvidenceRun, evidence_of_runs
 from dtwin.train.results import condition_name
 from dtwin.units import UM_PER_MM
 

@@ -17,12 +17,12 @@ from dtwin.locks import locked
 from dtwin.machine_record import changed_since
 from dtwin.people import acting, read_people
 from dtwin.schema import require_name
-from dtwin.serve.barred import allow, bar, barred_why
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.bundle_file import replace_bundle, save_bundle
 from dtwin.serve.pointer import clear_trial, on_trial, proven_states, resolve, write_machine, write_pointer
+from dtwin.serve.withdrawn import serve_again, stop_serving, withdrawn_why
 from dtwin.shared_documents import follow_shared
-from dtwin.train.evidence import Evidence
+from dtwin.train.closed_loop import Evidence
 from dtwin.train.evidence_record import Record, contrary, records
 from dtwin.train.gates import Verdict, evidence_gate
 from dtwin.train.promotion_books import bundle_path, by_pointer, enter, history, remember, require_comment, was_champion
@@ -40,8 +40,8 @@ def check_version(registry: Registry, version: RegisteredVersion) -> tuple[Bundl
             "the bundle is for another machine", code="promote.machine", got=bundle.machine, allowed=version.machine
         )
     verdicts = kind_of(bundle).gates(bundle, registry.metrics(version))
-    barred = version.tags.get("state") == "barred"
-    verdicts.append(Verdict("not barred", not barred, version.tags.get("state", "candidate")))
+    withdrawn = version.tags.get("state") == "withdrawn"
+    verdicts.append(Verdict("not withdrawn", not withdrawn, version.tags.get("state", "candidate")))
     return bundle, verdicts
 
 
@@ -93,7 +93,7 @@ def promote(
         previous = by_pointer(registry, home, version.machine)
         _write_machine(version.machine, home, geometry)
         path = _freeze(home, version, bundle, verdicts, kind, valid_days)
-        allow(version.machine, home, int(version.version))
+        serve_again(version.machine, home, int(version.version))
         write_pointer(version.machine, home, path, int(version.version), "champion", proved)
         if on_trial(version.machine, home) == int(version.version):
             # Its bundle now states the evidence, so that the trial's checksum is no longer the file's.
@@ -149,17 +149,17 @@ def withdraw(
     """Take a champion away as ``rollback`` does. When another one became champion meanwhile, that stays.
 
     ``reason``: why; kept in the history, in the registry and beside the bundles.
-    Returns ``withdrawn``, ``restored``: the version that was barred, and the champion from now on, None when there is
+    Returns ``withdrawn``, ``restored``: the version that was withdrawn, and the champion from now on, None when there is
     none.
     """
     machine = judged.machine
     with _alone(home, machine):
         # First what moves the machine, then the books.
-        bar(machine, home, int(judged.version), reason)
+        stop_serving(machine, home, int(judged.version), reason)
         champion = by_pointer(registry, home, machine)
         if champion is None or champion.version == judged.version:
             return judged, _roll_back(registry, home, machine, judged, reason)
-        registry.mark(judged, {"state": "barred", "barred_why": reason[:500]})
+        registry.mark(judged, {"state": "withdrawn", "withdrawn_why": reason[:500]})
         remember(home, judged, "rollback", reason, [])
         return judged, champion
 
@@ -201,7 +201,7 @@ def _roll_back(
         proved = previous.tags.get("proved", "")
         write_pointer(machine, home, bundle_path(home, previous), int(previous.version), "champion", proved)
     elif present is not None:
-        write_pointer(machine, home, bundle_path(home, present), int(present.version), "barred")
+        write_pointer(machine, home, bundle_path(home, present), int(present.version), "withdrawn")
     else:
         raise InputError(
             "there is no champion, and none before it to go back to",
@@ -211,11 +211,11 @@ def _roll_back(
         )
     replaced = present is not None and (previous is None or present.version != previous.version)
     if present is not None and replaced:
-        bar(machine, home, int(present.version), comment or "rolled back")
+        stop_serving(machine, home, int(present.version), comment or "rolled back")
     if previous is not None:
         registry.mark(previous, {"state": "champion"}, alias="champion")
     if present is not None and replaced:
-        registry.mark(present, {"state": "barred", "barred_why": comment[:500]})
+        registry.mark(present, {"state": "withdrawn", "withdrawn_why": comment[:500]})
         remember(home, present, "rollback", comment, [])
     # Last: a rollback that a kill cut off before is done again, one that was done goes back no further.
     registry.client.delete_registered_model_alias(model_name(machine), "champion" if previous is None else "previous")
@@ -228,7 +228,9 @@ def _previous(registry: Registry, home: Home, machine: str) -> RegisteredVersion
         previous = registry.version(machine, "previous")
     except InputError:
         return None
-    return previous if was_champion(home, previous) and not barred_why(machine, home, int(previous.version)) else None
+    return (
+        previous if was_champion(home, previous) and not withdrawn_why(machine, home, int(previous.version)) else None
+    )
 
 
 def _require_second_person(home: Home, version: RegisteredVersion, comment: str, verdicts: Sequence[Verdict]) -> None:

@@ -23,6 +23,7 @@ from dtwin.processes import is_gone, process
 from dtwin.schema import require_name
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.pointer import served_version
+from dtwin.serve.withdrawn import named_today
 from dtwin.train._registry_client import client_of, every
 from dtwin.train.results import (
     Candidate,
@@ -390,7 +391,7 @@ def _registered(machine: str, found: ModelVersion, aliases: Mapping[str, str]) -
         version=str(found.version),
         run_id=found.run_id or "",
         aliases=tuple(sorted(alias for alias, number in aliases.items() if str(number) == str(found.version))),
-        tags=dict(found.tags),
+        tags={key: named_today(value) if key == "state" else value for key, value in found.tags.items()},
         created=time.strftime("%Y-%m-%dT%H:%M:%S", time.gmtime(found.creation_timestamp / 1e3)),
     )
 

@@ -20,7 +20,7 @@ from dtwin.physics.several_twin import SeveralTwin, several_twin_of, started_of
 from dtwin.twins._kept_diagnosis import made_from
 from dtwin.twins.measured import Loaded
 from dtwin.twins.members import Cause, Member, Told, Version, known_to
-from dtwin.twins.several import SeveralComparison
+from dtwin.twins.several_campaigns import SeveralComparison
 from dtwin.twins.shelf import PATHS
 
 if TYPE_CHECKING:

@@ -13,7 +13,7 @@ from dtwin.lake.store import Lake
 from dtwin.physics.effect import Effect
 from dtwin.twins._machine_twins import MachineTwins
 from dtwin.twins.machine_twin import MACHINE, MachineTwin
-from dtwin.twins.several import require_together
+from dtwin.twins.several_campaigns import require_together
 from dtwin.twins.shelf import kind_of
 
 if TYPE_CHECKING:

@@ -47,7 +47,7 @@ from dtwin.twins._learned import WithLearned, twin_from
 from dtwin.twins._path_member import PathMember
 from dtwin.twins.budget_spread import BudgetSpread, spread_budget
 from dtwin.twins.measured import Comparison, Loaded, common_temperatures, from_temperatures, load, rises_from_one
-from dtwin.twins.several import SeveralComparison, fitted_together, require_together
+from dtwin.twins.several_campaigns import SeveralComparison, fitted_together, require_together
 from dtwin.twins.shelf import PATHS, TwinShelf, effect_absent, effect_there, logged_together, require_same_machine
 
 _MOST_RUNGS = 40

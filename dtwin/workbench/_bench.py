@@ -20,7 +20,7 @@ from dtwin.lake.store import Lake
 from dtwin.physics.effect import Effect
 from dtwin.physics.library import Library, campaign_instances
 from dtwin.physics.state import AXES_OF
-from dtwin.pipeline.catalogue import Overview, TwinLine, catalogue, distinct, twin_lines, twins_stamp
+from dtwin.pipeline.home_catalogue import Overview, TwinLine, catalogue, distinct, twin_lines, twins_stamp
 from dtwin.pipeline.kept import stamp_of
 from dtwin.pipeline.machine_history import machine_history
 from dtwin.twins.of_kind import AnyTwin, AnyTwins, twins_with

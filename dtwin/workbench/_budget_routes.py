@@ -14,7 +14,7 @@ from dtwin.lifecycle.gcode_program import MAX_BYTES, plain
 from dtwin.lifecycle.program_budget import of_circles, program_budget, program_lines, program_table
 from dtwin.physics.effect import Effect
 from dtwin.pipeline.kept import keep, kept_already
-from dtwin.report.budget import SURE, budget_table, remedies, unexplained_line
+from dtwin.report.error_budget import SURE, budget_table, remedies, unexplained_line
 from dtwin.report.faults import in_titles, undecided_lines
 from dtwin.report.html import Table
 from dtwin.twins.budget_spread import spread_budget

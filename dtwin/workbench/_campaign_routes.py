@@ -15,8 +15,8 @@ from dtwin.errors import InputError
 from dtwin.kinds.kind import Drawing
 from dtwin.kinds.registry import kind_named
 from dtwin.lake.rows import campaign_of
-from dtwin.pipeline.catalogue import overview
-from dtwin.pipeline.certificate import certificate
+from dtwin.pipeline.campaign_certificate import certificate
+from dtwin.pipeline.home_catalogue import overview
 from dtwin.pipeline.kept import findings_of, grouped_findings
 from dtwin.report.pdf import pdf_of
 from dtwin.report.sheet import budget_rows, notes_beside

@@ -18,7 +18,7 @@ from typing import Any, Literal
 
 from dtwin.atomic import write_text
 from dtwin.errors import DtwinError
-from dtwin.faults import fault_of
+from dtwin.failures import fault_of
 from dtwin.progress import Tell, telling
 
 _MOST_KEPT = 40

@@ -15,7 +15,7 @@ from starlette.responses import JSONResponse, Response
 from dtwin.errors import InputError
 from dtwin.kinds.registry import kinds
 from dtwin.machine_record import EVENTS, FACTS, keep_record, record_with, with_event, without_event
-from dtwin.pipeline.catalogue import outlines
+from dtwin.pipeline.home_catalogue import outlines
 from dtwin.pipeline.machine_history import drop_machine, machine_overviews, other_series
 from dtwin.pipeline.machine_joint import is_compared, machine_joint
 from dtwin.pipeline.machine_next import machine_next

@@ -14,7 +14,7 @@ from dtwin.progress import Tell
 from dtwin.report.html import Table
 from dtwin.report.model_plots import comparison_figure, evidence_figure, front_figure, r2_figure
 from dtwin.train.promotion_books import LONGEST_COMMENT
-from dtwin.workbench import _models as models
+from dtwin.workbench import _registry_rows
 from dtwin.workbench._bench import Bench, Here
 from dtwin.workbench._pages import accepted, drawn, rendered
 
@@ -32,7 +32,7 @@ class _Comment(BaseModel):
 def model_list(request: Request, bench: Here) -> Response:
     """Show the versions of every machine, and the history of promotions."""
     home = bench.home
-    registry = models.registry_of(home)
+    registry = _registry_rows.registry_of(home)
     versions: list[Any] = []
     past: dict[str, list[dict[str, Any]]] = {}
     if registry is not None:
@@ -61,7 +61,7 @@ def model_page(request: Request, bench: Here, machine: str, version: str) -> Res
         machine=machine,
         evidence=evidence,
         state=state_of(judged.version, bench.home),
-        mlflow=models.mlflow_page(bench.home, f"dtwin-{machine}", number),
+        mlflow=_registry_rows.mlflow_page(bench.home, f"dtwin-{machine}", number),
     )
 
 
@@ -83,7 +83,7 @@ def model_figure(bench: Here, machine: str, version: str, kind: str) -> Response
 @router.post("/api/models/{machine}/{version}/promote")
 def promote(bench: Here, machine: str, version: str, why: _Comment) -> JSONResponse:
     """Check a version and make it champion, or put it on trial; the gates decide."""
-    registry = models.require_registry(bench.home, machine)
+    registry = _registry_rows.require_registry(bench.home, machine)
     registered = registry.version(machine, version)
 
     def work(tell: Tell) -> str:
@@ -110,7 +110,7 @@ def promote(bench: Here, machine: str, version: str, why: _Comment) -> JSONRespo
 @router.post("/api/models/{machine}/rollback")
 def roll_back(bench: Here, machine: str, why: _Comment) -> JSONResponse:
     """Bar the champion and go back to the one before it."""
-    registry = models.require_registry(bench.home, machine)
+    registry = _registry_rows.require_registry(bench.home, machine)
 
     def work(tell: Tell) -> str:
         from dtwin.train.promotion import rollback
@@ -122,10 +122,10 @@ def roll_back(bench: Here, machine: str, why: _Comment) -> JSONResponse:
     return accepted(bench.jobs.start(f"Roll {machine} back", work))
 
 
-def _judged(bench: Bench, machine: str, version: str) -> models.Judged:
-    registry = models.require_registry(bench.home, machine)
+def _judged(bench: Bench, machine: str, version: str) -> _registry_rows.Judged:
+    registry = _registry_rows.require_registry(bench.home, machine)
     registered = registry.version(machine, version)
     # Tags change with every promotion; what they judge does not.
     stamp = json.dumps([dict(registered.tags), registered.aliases], sort_keys=True)
     key = ("model", machine, registered.version, registered.run_id, stamp)
-    return bench.cache.get(key, lambda: models.judged(registry, machine, registered.version))
+    return bench.cache.get(key, lambda: _registry_rows.judged(registry, machine, registered.version))

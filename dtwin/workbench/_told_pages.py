@@ -15,13 +15,13 @@ from dtwin.kinds.volumetric.twin_report import REPORT
 from dtwin.physics.twin import Twin
 from dtwin.report.faults import faults, grouped
 from dtwin.report.html import Table
-from dtwin.report.machine_twin import captioned
-from dtwin.report.several import contradiction_lines
+from dtwin.report.twin_of_campaigns import contradiction_lines
 from dtwin.report.twin_of_kind import report_of
+from dtwin.report.twin_of_machine import captioned
 from dtwin.twins.machine_twin import MachineComparison, MachineTwin
 from dtwin.twins.measured import Comparison
 from dtwin.twins.of_kind import AnyTwin
-from dtwin.twins.several import SeveralComparison
+from dtwin.twins.several_campaigns import SeveralComparison
 from dtwin.workbench import _reading as reading
 from dtwin.workbench._bench import Bench, Here, bench_of
 from dtwin.workbench._pages import drawn, rendered

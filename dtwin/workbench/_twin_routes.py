@@ -16,11 +16,11 @@ from dtwin.kinds.volumetric.heat_twins import HeatTwins
 from dtwin.physics.gridding import CIRCLE
 from dtwin.physics.several_twin import SeveralTwin
 from dtwin.physics.twin import Twin
-from dtwin.pipeline.twin_report import twin_report
-from dtwin.report.encoder_split import encoder_section, tells
+from dtwin.pipeline.reported_twin import twin_report
+from dtwin.report.encoder_share import encoder_section, tells
 from dtwin.report.faults import faults, found_faults, grouped, not_told, title_of
 from dtwin.report.pdf import pdf_of
-from dtwin.report.several import contradiction_lines
+from dtwin.report.twin_of_campaigns import contradiction_lines
 from dtwin.report.twin_of_kind import report_of, with_nan
 from dtwin.report.twin_plots import (
     along_figure,
@@ -35,9 +35,9 @@ from dtwin.twins.registration import waiting, waiting_text
 from dtwin.twins.verbs import Twins
 from dtwin.workbench import _reading as reading
 from dtwin.workbench._bench import Here, bench_of, possible_effects
-from dtwin.workbench._models import mlflow_page
 from dtwin.workbench._pages import download, drawn, in_language, rendered
 from dtwin.workbench._plan_routes import experiment_documents, grids_of, plans_zip
+from dtwin.workbench._registry_rows import mlflow_page
 from dtwin.workbench._told_pages import compared_with, heat_page, told_page
 
 _HARMONICS = 60

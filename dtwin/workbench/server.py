@@ -26,7 +26,7 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from dtwin.config import Home
 from dtwin.errors import DtwinError, InputError, MissingPart, printable
-from dtwin.faults import fault_of
+from dtwin.failures import fault_of
 from dtwin.kinds.registry import kind_named
 from dtwin.physics.circular import fit_circle
 from dtwin.report.plots import polar_figure
@@ -39,9 +39,9 @@ from dtwin.workbench import _live_routes as live_routes
 from dtwin.workbench import _machine_routes as machine_routes
 from dtwin.workbench import _measuring_routes as measuring_routes
 from dtwin.workbench import _model_routes as model_routes
-from dtwin.workbench import _models as models
 from dtwin.workbench import _plan_routes as plan_routes
 from dtwin.workbench import _reading as reading
+from dtwin.workbench import _registry_rows
 from dtwin.workbench import _told_pages as told_pages
 from dtwin.workbench import _twin_actions as twin_actions
 from dtwin.workbench import _twin_routes as twin_routes
@@ -201,7 +201,7 @@ def _warm(bench: Bench) -> None:
         paths = [path.parent.name for path in newest if path.parent.name in known]
         for name in list(dict.fromkeys(paths))[:_WARMED_TWINS]:
             reading.view(bench, name)
-        models.registry_of(bench.home)
+        _registry_rows.registry_of(bench.home)
     # What was imported stays: looking through it for garbage held up every tenth answer by 140 ms.
     gc.freeze()
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dtwin.links import state as layout
+from dtwin.links import layout
 from dtwin.links import ur_registers as registers
 from dtwin.schema import Floats
 

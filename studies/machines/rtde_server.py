@@ -41,7 +41,7 @@ from typing import Any
 import numpy as np
 
 from dtwin.errors import DtwinError, InputError
-from dtwin.links import state as layout
+from dtwin.links import layout
 from dtwin.links import ur_registers as registers
 from dtwin.machines.cobot import VirtualCobot
 from dtwin.machines.controller import CircleController

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dtwin.links import state as layout
+from dtwin.links import layout
 from dtwin.machines import mechanism as m_
-from dtwin.machines._recording import RunTicks
+from dtwin.machines._instrument_record import RunTicks
 from dtwin.machines._sensors import drift_kernel, read_ballbar
 from dtwin.machines.cobot import VirtualCobot
 from dtwin.machines.controller import CobotController

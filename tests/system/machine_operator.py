@@ -26,14 +26,14 @@ import numpy as np
 from virtual_robot import virtual_robot
 
 from dtwin.acquire.b5r import write_b5r
-from dtwin.acquire.linuxcnc import run_circles
-from dtwin.acquire.linuxcnc import run_of as run_of_trace
+from dtwin.acquire.linuxcnc_circles import run_circles
+from dtwin.acquire.linuxcnc_circles import run_of as run_of_trace
 from dtwin.acquire.virtual import VirtualCobotBench, run_of
 from dtwin.acquire.virtual_mill import virtual_mill
 from dtwin.kinds.circular._evidence import CorrectedCircles
 from dtwin.machines.cobot import CircleCondition
 from dtwin.machines.linuxcnc.circles import Circle
-from dtwin.machines.linuxcnc.session import LinuxcncSession
+from dtwin.machines.linuxcnc.instance import LinuxcncSession
 from dtwin.machines.mill_parameters import CircularTest
 from dtwin.pipeline.desk import DONE, REPEAT, _open_question, give_answer
 from dtwin.plan import PlannedTest

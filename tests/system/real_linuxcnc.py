@@ -7,7 +7,7 @@ import os
 import pytest
 
 from dtwin.errors import MissingPart
-from dtwin.machines.linuxcnc.session import require_linuxcnc
+from dtwin.machines.linuxcnc.instance import require_linuxcnc
 
 
 def skip_without_linuxcnc() -> None:

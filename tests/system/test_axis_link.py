@@ -20,9 +20,9 @@ from dtwin.cli import app
 from dtwin.config import Home
 from dtwin.errors import DeviceError, GateRefusal, InputError
 from dtwin.features.tone_window import COMMAND_AMPLITUDE, COMMAND_PHASE, COMMANDED, tone_contract
-from dtwin.links import state as layout
+from dtwin.links import layout
 from dtwin.links.axis_link import AxisLink
-from dtwin.links.state import LiveValues
+from dtwin.links.layout import LiveValues
 from dtwin.links.virtual_key import proof
 from dtwin.machines.axis_server import _WATCHDOG_S, AxisServer
 from dtwin.schema import Floats

@@ -15,14 +15,14 @@ import numpy as np
 import pytest
 from real_linuxcnc import skip_without_linuxcnc
 
-from dtwin.acquire.linuxcnc import run_circles
+from dtwin.acquire.linuxcnc_circles import run_circles
 from dtwin.errors import DeviceError
 from dtwin.lifecycle._axis_tables import AxisTable, compensation_file
 from dtwin.links.linuxcnc import Bridge
 from dtwin.machines.linuxcnc.circles import Circle, Trace
 from dtwin.machines.linuxcnc.configuration import MillFaults
-from dtwin.machines.linuxcnc.session import LinuxcncSession
-from dtwin.pipeline.linuxcnc import LiveCorrection, LiveTrace
+from dtwin.machines.linuxcnc.instance import LinuxcncSession
+from dtwin.pipeline.linuxcnc_correction import LiveCorrection, LiveTrace
 from dtwin.serve.builder import GraphBuilder
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.bundle_file import create_bundle
@@ -273,8 +273,8 @@ def test_what_the_program_gets_wrong_is_said(session: LinuxcncSession) -> None:
 def test_a_program_that_does_not_end_is_not_waited_for(
     session: LinuxcncSession, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("dtwin.acquire.linuxcnc._SLOWEST", 0.0)
-    monkeypatch.setattr("dtwin.acquire.linuxcnc._SPARE_S", 0.3)
+    monkeypatch.setattr("dtwin.acquire.linuxcnc_circles._SLOWEST", 0.0)
+    monkeypatch.setattr("dtwin.acquire.linuxcnc_circles._SPARE_S", 0.3)
     with pytest.raises(DeviceError, match="does not end"):
         run_circles(session, circles()[:1])
     with Bridge(session.socket_path) as bridge:

@@ -19,9 +19,9 @@ from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.lake.store import Lake
 from dtwin.machines.mill_parameters import MillParameters
-from dtwin.report.several import diagnosis_text
 from dtwin.report.text import listed, micrometres
-from dtwin.twins.several import require_together
+from dtwin.report.twin_of_campaigns import diagnosis_text
+from dtwin.twins.several_campaigns import require_together
 from dtwin.twins.verbs import Twins
 from dtwin.workbench._access import Access
 from dtwin.workbench._bench import Bench

@@ -30,14 +30,14 @@ from dtwin.lifecycle.evidence import make_champion, measure, proven
 from dtwin.lifecycle.train import put_on_trial, train
 from dtwin.plan import EvidencePlan
 from dtwin.serve.pointer import resolve
+from dtwin.train.campaign_rows import gather
 from dtwin.train.candidate_runs import training_candidates
 from dtwin.train.dataset import load_ticks
 from dtwin.train.promotion import promote, rollback
 from dtwin.train.promotion_books import history
 from dtwin.train.registry import Registry
-from dtwin.train.rows import gather
 from dtwin.train.symbolic import OperonEngine
-from dtwin.workbench._models import judged
+from dtwin.workbench._registry_rows import judged
 from flows._artifacts import slug
 from flows.page import shown_steps
 from flows.servers import await_healthy, prefect_alone
@@ -253,10 +253,10 @@ def test_champion_previous_and_rollback(demo: tuple[Home, dict[str, Any]]) -> No
     assert registry.version(MACHINE, "previous").version == "1"
     rollback(registry, home, MACHINE, "robot hummed")
     assert resolve("latest", MACHINE, home).version == 1
-    assert registry.version(MACHINE, "2").tags["state"] == "barred"
+    assert registry.version(MACHINE, "2").tags["state"] == "withdrawn"
     path, reason = make_champion(home, registry.version(MACHINE, "2"))
     assert path is None
-    assert "not barred" in reason
+    assert "not withdrawn" in reason
     assert [e["action"] for e in history(home, MACHINE)][-2:] == ["rollback", "refused"]
 
 

@@ -22,10 +22,10 @@ from dtwin.config import Home
 from dtwin.config import home as dtwin_home
 from dtwin.errors import DtwinError, GateRefusal, InputError, StoreError
 from dtwin.serve import pulling
-from dtwin.serve.barred import bar, barred_why
 from dtwin.serve.delivery import KEY_FILE, MAC, NONCE, delivery, install, make_key
 from dtwin.serve.pointer import clear_trial, resolve
 from dtwin.serve.pulling import _pull, pulled
+from dtwin.serve.withdrawn import stop_serving, withdrawn_why
 from dtwin.workbench._access import Access
 from dtwin.workbench._bench import Bench
 from dtwin.workbench.server import application
@@ -81,11 +81,11 @@ def test_what_was_promoted_there_is_served_here(source: Home, host: Home, addres
     assert found.path.read_bytes() == (source.bundles / MACHINE / "v3.json").read_bytes()
     assert not _pull(address, MACHINE, host)
     promote(source, "trial", model_version=4)
-    bar(MACHINE, source, 3, "it does harm")
+    stop_serving(MACHINE, source, 3, "it does harm")
     assert _pull(address, MACHINE, host)
     assert resolve("trial", MACHINE, host).version == 4
-    assert barred_why(MACHINE, host, 3) == "it does harm"
-    with pytest.raises(GateRefusal, match="barred"):
+    assert withdrawn_why(MACHINE, host, 3) == "it does harm"
+    with pytest.raises(GateRefusal, match="withdrawn"):
         resolve("latest", MACHINE, host)
     clear_trial(MACHINE, source)
     assert _pull(address, MACHINE, host)
@@ -149,7 +149,7 @@ def test_an_answer_that_was_changed_or_is_of_yesterday_is_none(source: Home, hos
 
     with between(address, recorded) as url:
         assert _pull(url, MACHINE, host)
-    bar(MACHINE, source, 3, "withdrawn")
+    stop_serving(MACHINE, source, 3, "withdrawn")
     lies: dict[str, Lie] = {
         "changed": lambda content, headers: (content.replace(b"withdrawn", b"all right"), headers),
         "yesterday": lambda content, headers: kept[0],
@@ -161,7 +161,7 @@ def test_an_answer_that_was_changed_or_is_of_yesterday_is_none(source: Home, hos
             _pull(url, MACHINE, host)
     assert resolve("latest", MACHINE, host).state == "champion"
     assert _pull(address, MACHINE, host)
-    assert barred_why(MACHINE, host, 3) == "withdrawn"
+    assert withdrawn_why(MACHINE, host, 3) == "withdrawn"
 
 
 def test_what_does_not_hold_is_not_put_in_force(source: Home, host: Home, address: str) -> None:
@@ -194,7 +194,7 @@ def test_a_version_that_is_withdrawn_there_is_released_here_and_a_lost_link_stop
             with workbench(source) as url:
                 server = Server(*options, f"--pull={url}")
                 wait_until_corrected(robot)
-                bar(MACHINE, source, 3, "the error grew")
+                stop_serving(MACHINE, source, 3, "the error grew")
                 code, out, _ = server.end()
                 wait_until_released(robot)
                 assert code != 0

@@ -31,13 +31,13 @@ from dtwin.config import Home
 from dtwin.config import home as dtwin_home
 from dtwin.errors import DeviceError, DtwinError
 from dtwin.features.windows import WindowContract
-from dtwin.links import state as layout
+from dtwin.links import layout
 from dtwin.links.ur import UrLink
-from dtwin.serve.barred import bar
 from dtwin.serve.builder import GraphBuilder
 from dtwin.serve.interface import Input, SafetyLimits
 from dtwin.serve.serve_request import ServeRequest
 from dtwin.serve.session import serve
+from dtwin.serve.withdrawn import stop_serving
 
 pytestmark = pytest.mark.system
 
@@ -269,7 +269,7 @@ def test_a_model_that_is_withdrawn_while_it_is_served_lets_go(robot: VirtualRobo
     promote(home)
     server = Server("--json", f"--host={robot.host}")
     wait_until_corrected(robot)
-    bar(MACHINE, home, 3, "the error is larger with the correction: all 30.0 -> 40.0 µm")
+    stop_serving(MACHINE, home, 3, "the error is larger with the correction: all 30.0 -> 40.0 µm")
     code, out, _ = server.end()
     status = json.loads(out)
     assert (code, status["ended"], status["released"]) == (3, "withdrawn", True)

@@ -30,8 +30,8 @@ from dtwin.progress import Progress
 from dtwin.serve.pointer import resolve
 from dtwin.train.promotion import check_version
 from dtwin.train.promotion_books import history
-from dtwin.train.recheck import CheckedRun
 from dtwin.train.registry import Registry
+from dtwin.train.still_helps import CheckedRun
 
 pytestmark = pytest.mark.system
 _CORRECTED = "a correction was in force while it was measured"
@@ -208,12 +208,12 @@ def test_a_champion_that_harms_a_changed_machine_is_rolled_back(home: Home) -> N
     done = recheck(home, MACHINE, virtual=TurnedGears(), blocks=2, seed=0)
     assert (done.found.verdict, done.withdrawn, done.restored) == ("worse", True, first.version)
     assert resolve("latest", MACHINE, home).version == int(first.version)
-    barred = registry.version(MACHINE, "2")
-    assert barred.tags["state"] == "barred"
-    assert barred.tags["barred_why"] == done.found.reason
+    withdrawn = registry.version(MACHINE, "2")
+    assert withdrawn.tags["state"] == "withdrawn"
+    assert withdrawn.tags["withdrawn_why"] == done.found.reason
     last = history(home, MACHINE)[-1]
     assert (last["action"], last["comment"]) == ("rollback", done.found.reason)
-    assert check_version(registry, barred)[1][-1].passed is False
+    assert check_version(registry, withdrawn)[1][-1].passed is False
 
 
 def test_without_a_champion_before_nothing_is_served_any_more(home: Home) -> None:

@@ -287,7 +287,7 @@ def test_bundle_of_another_machine(robot: VirtualRobot, home: Home) -> None:
     assert (code, answer["error"]["code"]) == (3, "bundle.machine")
 
 
-@pytest.mark.parametrize("state", ["barred", "candidate"])
+@pytest.mark.parametrize("state", ["withdrawn", "candidate"])
 def test_version_that_did_not_pass(robot: VirtualRobot, home: Home, state: str) -> None:
     promote(home, state)
     code, answer = refused(f"--host={robot.host}", "--duration=1")

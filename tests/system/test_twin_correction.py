@@ -24,7 +24,7 @@ from dtwin.plan import EvidencePlan
 from dtwin.report.correction import correction_text
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.pointer import resolve
-from dtwin.train.evidence import Evidence
+from dtwin.train.closed_loop import Evidence
 from dtwin.train.gates import evidence_gate
 
 ROOT = Path(__file__).parents[2]

@@ -19,7 +19,7 @@ import pytest
 from virtual_robot import VirtualRobot, free_address, virtual_robot
 
 from dtwin.errors import EXIT_DEVICE, DeviceError, InputError
-from dtwin.links import state as layout
+from dtwin.links import layout
 from dtwin.links._ur_memory import SharedMemory
 from dtwin.links.ur import UrLink
 from dtwin.links.ur_registers import safety_ok

@@ -16,7 +16,7 @@ from dtwin.config import Home
 from dtwin.documents import write_document
 from dtwin.errors import StoreError
 from dtwin.lake.store import Lake
-from dtwin.pipeline.catalogue import catalogue, outlines, twin_lines
+from dtwin.pipeline.home_catalogue import catalogue, outlines, twin_lines
 from dtwin.pipeline.machine_history import machine_overviews
 from dtwin.workbench import _bench, _campaign_routes
 from dtwin.workbench._access import Access

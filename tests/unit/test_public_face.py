@@ -43,7 +43,7 @@ def test_a_name_that_is_not_there_is_one_of_no_module() -> None:
 
 
 def test_a_host_without_pandas_is_told_what_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
-    for module in ("dtwin.notebook.open_home", "dtwin.notebook.results"):
+    for module in ("dtwin.notebook.open_home", "dtwin.notebook.answers"):
         monkeypatch.delitem(sys.modules, module, raising=False)
     monkeypatch.setitem(sys.modules, "pandas", None)
     with pytest.raises(MissingPart) as refused:

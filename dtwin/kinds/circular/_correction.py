@@ -14,7 +14,7 @@ from dtwin.physics.gridding import Indices
 from dtwin.physics.observations import Observations
 from dtwin.physics.twin import Twin, frozen_residual_um
 from dtwin.schema import Floats
-from dtwin.serve.export import to_c, to_latex, to_python, to_text
+from dtwin.serve.graph_code import to_c, to_latex, to_python, to_text
 from dtwin.statistics import rms
 from dtwin.train.latency import bundle_latency
 from dtwin.train.results import Candidate, Scores

@@ -11,14 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dtwin.errors import InputError
-from dtwin.features.motion import PATH_INPUTS
+from dtwin.features.path_inputs import PATH_INPUTS
 from dtwin.lake.store import Lake
 from dtwin.progress import Progress, silent
 from dtwin.schema import Floats, Run
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.runtime import CompiledBundle
 from dtwin.statistics import rms
-from dtwin.train.candidates import score
+from dtwin.train.campaign_rows import gather, noise_floor_um
 from dtwin.train.champion_error import (
     ChampionError,
     Condition,
@@ -30,9 +30,9 @@ from dtwin.train.champion_error import (
     require_inputs,
     require_trained,
 )
+from dtwin.train.comparison_models import score
 from dtwin.train.dataset import TICK_HZ, TickRun, load_ticks
 from dtwin.train.results import FRESH_RUN
-from dtwin.train.rows import gather, noise_floor_um
 
 
 def circles_error(

@@ -29,8 +29,8 @@ from dtwin.serve.runtime import CompiledBundle
 from dtwin.statistics import rms
 from dtwin.train.evidence_record import newest
 from dtwin.train.oracle import TICK_S, MeasuredWays, best_offsets, follow, guard_shares, numbered
-from dtwin.train.recheck import CheckedRun
 from dtwin.train.results import CONDITIONS_FILE, condition_name
+from dtwin.train.still_helps import CheckedRun
 
 WAYS = ("uncompensated", "compensated", "oracle")
 _APART = timedelta(minutes=5)

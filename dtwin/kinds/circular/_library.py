@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dtwin.features.motion import PATH_INPUTS
+from dtwin.features.path_inputs import PATH_INPUTS
 from dtwin.serve.builder import Expression, GraphBuilder
 from dtwin.serve.tape import Tape
 from dtwin.train.dataset import TICK_HZ, TickRun

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from dtwin.plan import EvidencePlan, Plan
     from dtwin.progress import Progress
     from dtwin.train.oracle import MeasuredWays
-    from dtwin.train.recheck import CheckedRun
+    from dtwin.train.still_helps import CheckedRun
 
 
 class _Cobot(VirtualMachine):

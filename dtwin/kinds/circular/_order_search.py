@@ -6,12 +6,12 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from dtwin.features.motion import PATH_INPUTS
+from dtwin.features.path_inputs import PATH_INPUTS
 from dtwin.kinds.circular._library import FLANK_RAD, Gear, Mode
 from dtwin.progress import Progress, silent
 from dtwin.schema import Floats
+from dtwin.train.campaign_rows import Rows
 from dtwin.train.dataset import TickRun
-from dtwin.train.rows import Rows
 
 _COARSE = np.arange(20.0, 460.0, 4.0)
 _FINE = np.arange(-4.0, 4.01, 0.5)

@@ -16,7 +16,7 @@ from dtwin.kinds.circular._term_columns import Sums, TermColumns, forward_order,
 from dtwin.progress import Progress, silent
 from dtwin.schema import Floats
 from dtwin.statistics import rms
-from dtwin.train.rows import Rows, gather, thinned
+from dtwin.train.campaign_rows import Rows, gather, thinned
 
 _RIDGE = 1e-3
 # Within this of the best held-out error the smaller equation wins.

@@ -12,7 +12,7 @@ from sklearn.exceptions import ConvergenceWarning
 
 from dtwin import __version__
 from dtwin.errors import InputError
-from dtwin.features.motion import PATH_INPUT_UNITS, PATH_INPUTS
+from dtwin.features.path_inputs import PATH_INPUT_UNITS, PATH_INPUTS
 from dtwin.kinds.circular._library import Library, equation_text, weighted_sum
 from dtwin.kinds.circular._physics_fit import (
     DEAD_SHARE,
@@ -29,15 +29,15 @@ from dtwin.schema import Floats
 from dtwin.serve.builder import GraphBuilder
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.bundle_file import create_bundle
-from dtwin.serve.export import to_c, to_latex, to_python, to_text
+from dtwin.serve.graph_code import to_c, to_latex, to_python, to_text
 from dtwin.serve.interface import Input, Output, Provenance, SafetyLimits, State
-from dtwin.train.candidates import RECIPES, Recipe, baselines, held_out_groups, score, train_recipe
+from dtwin.train.campaign_rows import Rows, gather, noise_floor_um, thinned
+from dtwin.train.comparison_models import RECIPES, Recipe, baselines, held_out_groups, score, train_recipe
 from dtwin.train.dataset import TICK_HZ, load_ticks
 from dtwin.train.formula import unit_findings
 from dtwin.train.inputs import generic_inputs
 from dtwin.train.latency import latency_of
 from dtwin.train.results import FRESH_RUN, Candidate, Scores, Training, TrainingReport
-from dtwin.train.rows import Rows, gather, noise_floor_um, thinned
 from dtwin.train.side_by_side import side_by_side
 from dtwin.train.symbolic import SUBSAMPLE, Engine, FittedFormula, OperonEngine, refit
 from dtwin.units import shown_number

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from dtwin import __version__
-from dtwin.features.motion import PATH_INPUT_UNITS
+from dtwin.features.path_inputs import PATH_INPUT_UNITS
 from dtwin.physics.observations import Observations
 from dtwin.physics.problem import Term
 from dtwin.physics.state import circular_state

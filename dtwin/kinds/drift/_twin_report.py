@@ -7,9 +7,9 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from dtwin.report.html import Part, Table
-from dtwin.report.machine_twin import candidate_table
-from dtwin.report.term_twins import TermTwinReport
 from dtwin.report.text import decimals, micrometres, words_of
+from dtwin.report.twin_of_machine import candidate_table
+from dtwin.report.twin_of_terms import TermTwinReport
 from dtwin.units import shown_number
 
 if TYPE_CHECKING:

@@ -32,7 +32,7 @@ from dtwin.positioning.check import FEWEST_PHASES, phases_of
 from dtwin.positioning.matrix import LinearTest
 from dtwin.schema import Floats
 from dtwin.serve.builder import Expression, GraphBuilder
-from dtwin.serve.export import to_text
+from dtwin.serve.graph_code import to_text
 from dtwin.serve.interface import SafetyLimits
 from dtwin.statistics import rms
 from dtwin.train.latency import bundle_latency

@@ -12,7 +12,7 @@ import numpy as np
 from dtwin.physics.linear import linear_figures
 from dtwin.positioning.check import phases_of
 from dtwin.positioning.matrix import LinearTest
-from dtwin.positioning.sheet import evaluated_tests
+from dtwin.positioning.positioning_sheet import evaluated_tests
 from dtwin.progress import Progress, silent
 from dtwin.report.text import counted, table
 from dtwin.report.uncertainty import Circumstances, Contribution, off_line_um

@@ -29,7 +29,7 @@ from dtwin.positioning.matrix import LinearTest, linear_test
 from dtwin.progress import StageProgress, silent
 from dtwin.schema import Floats
 from dtwin.serve.bundle import Bundle
-from dtwin.serve.export import to_text
+from dtwin.serve.graph_code import to_text
 from dtwin.statistics import rms
 from dtwin.train.latency import bundle_latency
 from dtwin.train.results import Candidate, Training, TrainingReport

@@ -54,7 +54,7 @@ class _Linear(Kind):
         "campaign_figures": "_report:positioning_result",
         "figure_lines": "_report:positioning_lines",
         "drawings": "dtwin.positioning.drawings:DRAWINGS",
-        "sheet_figure": "dtwin.positioning.sheet:positioning_figure",
+        "sheet_figure": "dtwin.positioning.positioning_sheet:positioning_figure",
         "axis_errors": "_bundle:axis_errors",
         "rows": "_grid:stroke_rows",
         "run_errors": "_judging:stroke_errors",
@@ -91,7 +91,7 @@ class _Linear(Kind):
 
     def sheet(self, runs: Sequence[Run], under: Circumstances) -> Sheet:
         from dtwin.kinds.linear._report import asked, contributions
-        from dtwin.positioning.sheet import positioning_sheet
+        from dtwin.positioning.positioning_sheet import positioning_sheet
 
         return positioning_sheet(runs, asked, partial(contributions, under))
 

@@ -21,7 +21,7 @@ from dtwin.kinds.poses._twins import PoseTwin, PoseTwins
 from dtwin.lake.store import Lake
 from dtwin.lifecycle.export import Export
 from dtwin.schema import Floats
-from dtwin.serve.export import identifier
+from dtwin.serve.graph_code import identifier
 from dtwin.units import shown_number
 
 _NOT_LOADED = "Read back by dtwin's own interpreter of this form; never loaded into a robot's control."

@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from dtwin.report.html import Part, Table
-from dtwin.report.machine_twin import candidate_table
-from dtwin.report.term_twins import TermTwinReport
 from dtwin.report.text import micrometres, words_of
+from dtwin.report.twin_of_machine import candidate_table
+from dtwin.report.twin_of_terms import TermTwinReport
 
 if TYPE_CHECKING:
     import plotly.graph_objects as go

@@ -12,7 +12,7 @@ from dtwin.kinds.rotary._scale import ANGLES
 from dtwin.physics.linear import linear_figures
 from dtwin.positioning.check import judge_positioning_campaign, tests_by_axis
 from dtwin.positioning.matrix import TARGET_MM, LinearTest
-from dtwin.positioning.sheet import evaluated_tests
+from dtwin.positioning.positioning_sheet import evaluated_tests
 from dtwin.progress import Progress, silent
 from dtwin.report.text import counted
 from dtwin.report.uncertainty import Circumstances, Contribution

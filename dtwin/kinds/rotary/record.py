@@ -75,13 +75,13 @@ class _Rotary(Kind):
     def sheet(self, runs: Sequence[Run], under: Circumstances) -> Sheet:
         from dtwin.kinds.rotary._scale import ANGLES
         from dtwin.kinds.rotary._sheet import contributions, noted
-        from dtwin.positioning.sheet import positioning_sheet
+        from dtwin.positioning.positioning_sheet import positioning_sheet
 
         return positioning_sheet(runs, noted, partial(contributions, under), ANGLES)
 
     def sheet_figure(self, runs: Sequence[Run]) -> go.Figure:
         from dtwin.kinds.rotary._scale import ANGLES
-        from dtwin.positioning.sheet import positioning_figure
+        from dtwin.positioning.positioning_sheet import positioning_figure
 
         return positioning_figure(runs, ANGLES)
 

@@ -28,9 +28,9 @@ from dtwin.kinds.sinusoidal._laws import Law, power_law, printed_form, searched,
 from dtwin.lake.store import Lake
 from dtwin.progress import StageProgress, silent
 from dtwin.schema import Floats
-from dtwin.serve.export import to_text
+from dtwin.serve.graph_code import to_text
 from dtwin.statistics import rms
-from dtwin.train.candidates import RECIPES, Recipe, fitted
+from dtwin.train.comparison_models import RECIPES, Recipe, fitted
 from dtwin.train.latency import bundle_latency
 from dtwin.train.results import OUTPUT_RMS, Candidate, Scores, Training, TrainingReport
 from dtwin.train.symbolic import Engine

@@ -27,8 +27,8 @@ from dtwin.physics.twin import Twin, frozen_residual_um, predict_um
 from dtwin.schema import Floats
 from dtwin.serve.band import Band
 from dtwin.serve.builder import Expression, GraphBuilder
-from dtwin.serve.export import to_text
 from dtwin.serve.graph import Graph
+from dtwin.serve.graph_code import to_text
 from dtwin.serve.interface import Input
 from dtwin.statistics import rms
 from dtwin.train.latency import bundle_latency

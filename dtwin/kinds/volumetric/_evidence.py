@@ -20,7 +20,7 @@ from dtwin.serve.bundle import Bundle
 from dtwin.serve.runtime import CompiledBundle
 from dtwin.serve.safety import box_factor
 from dtwin.statistics import rms, t_quantile
-from dtwin.train.evidence import WITH, WITHOUT, Evidence
+from dtwin.train.closed_loop import WITH, WITHOUT, Evidence
 from dtwin.train.registry import RegisteredVersion, Registry
 
 _DAY_H = 24.0

@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from dtwin.config import Home
     from dtwin.machines.axis_server import ServedMachine
     from dtwin.progress import Progress
-    from dtwin.train.evidence import Evidence
+    from dtwin.train.closed_loop import Evidence
     from dtwin.train.registry import RegisteredVersion
 
 

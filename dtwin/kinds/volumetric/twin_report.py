@@ -17,10 +17,10 @@ from dtwin.kinds.volumetric._movers import MATERIAL
 from dtwin.kinds.volumetric.heat_twin import HeatTwin
 from dtwin.kinds.volumetric.motions import FAMILIES, Family, family_of, motion_words
 from dtwin.report.html import Part, Section, Table
-from dtwin.report.machine_twin import missing_section
 from dtwin.report.plots import COLOURS, draw_line, lacks_columns, places_figure, styled
-from dtwin.report.term_twins import TermTwinReport
 from dtwin.report.text import micrometres, table
+from dtwin.report.twin_of_machine import missing_section
+from dtwin.report.twin_of_terms import TermTwinReport
 from dtwin.schema import Run
 
 _SEVERITY = {"nothing_missing": "info", "unknown_effect": "error"}

@@ -7,7 +7,7 @@ import pytest
 
 from dtwin import kinematics
 from dtwin.errors import InputError
-from dtwin.features.motion import PATH_INPUT_UNITS, PATH_INPUTS, STATE_FIELDS, PathInputs
+from dtwin.features.path_inputs import PATH_INPUT_UNITS, PATH_INPUTS, STATE_FIELDS, PathInputs
 from dtwin.kinematics import UR10E
 
 TCP_MM = np.array([0.0, 0.0, 158.3])

@@ -26,7 +26,7 @@ from dtwin.report.html import page
 from dtwin.schema import Floats
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.runtime import CompiledBundle
-from dtwin.train.candidates import RECIPES
+from dtwin.train.comparison_models import RECIPES
 from dtwin.train.symbolic import Found
 from dtwin.workbench._access import Access
 from dtwin.workbench._bench import Bench

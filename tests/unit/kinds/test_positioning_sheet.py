@@ -10,7 +10,7 @@ import pytest
 from dtwin.kinds.linear._report import positioning_lines, positioning_result
 from dtwin.kinds.registry import kind_named
 from dtwin.positioning.check import judge_positioning_campaign
-from dtwin.positioning.sheet import positioning_figure
+from dtwin.positioning.positioning_sheet import positioning_figure
 from dtwin.report.language import _german_of
 from dtwin.report.sheet import Sheet, judged
 from dtwin.report.uncertainty import Circumstances

@@ -7,7 +7,7 @@ import pytest
 from repeatable_error import repeatable_error_um
 
 from dtwin.kinematics import UR10E, jacobian_kernel
-from dtwin.links import state as layout
+from dtwin.links import layout
 from dtwin.machines.cobot import CircleCondition, VirtualCobot
 from dtwin.machines.controller import CircleController
 

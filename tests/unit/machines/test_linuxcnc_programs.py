@@ -14,7 +14,7 @@ import pytest
 
 from dtwin.errors import DeviceError, InputError, MissingPart
 from dtwin.links.linuxcnc import Bridge
-from dtwin.machines.linuxcnc import session
+from dtwin.machines.linuxcnc import instance
 from dtwin.machines.linuxcnc._bridge import _serve
 from dtwin.machines.linuxcnc.circles import Circle, program, read_samples, traces
 from dtwin.machines.linuxcnc.configuration import MillFaults, compensation_text, ini_text, read_faults
@@ -93,9 +93,9 @@ def test_a_compensated_joint_has_no_other_backlash() -> None:
 
 
 def test_without_linuxcnc_the_package_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(session, "_PATH", "/nowhere")
+    monkeypatch.setattr(instance, "_PATH", "/nowhere")
     with pytest.raises(MissingPart) as caught:
-        session.require_linuxcnc()
+        instance.require_linuxcnc()
     assert "linuxcnc-uspace" in str(caught.value.hint)
 
 

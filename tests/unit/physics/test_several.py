@@ -26,7 +26,7 @@ from dtwin.physics.several_diagnosis import diagnose_several
 from dtwin.physics.several_sizes import covariance_in, nothing_of, sizes_of
 from dtwin.physics.several_twin import SeveralTwin, several_twin_of, started_of
 from dtwin.report.faults import sized_effects
-from dtwin.report.several import _settled_lines
+from dtwin.report.twin_of_campaigns import _settled_lines
 from dtwin.twins.learn import _together
 
 LIBRARY = Library()

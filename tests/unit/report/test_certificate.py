@@ -30,7 +30,7 @@ from dtwin.physics import localise
 from dtwin.physics._learned_places import PLACES
 from dtwin.physics.learned import learned_effect
 from dtwin.physics.library import Library
-from dtwin.pipeline.certificate import _one_that_can, certificate, facts_of
+from dtwin.pipeline.campaign_certificate import _one_that_can, certificate, facts_of
 from dtwin.report.certificate import certificate_page
 from dtwin.report.html import page as page_of
 from dtwin.report.html import told_section

@@ -13,8 +13,8 @@ from dtwin.physics.contradictions import Contradiction, _What
 from dtwin.physics.library import Library
 from dtwin.physics.several_twin import SeveralTwin
 from dtwin.physics.twin import Twin, ValidityBox
-from dtwin.report.joint import joint_lines
-from dtwin.report.several import contradiction_lines
+from dtwin.report.machine_tests import joint_lines
+from dtwin.report.twin_of_campaigns import contradiction_lines
 from dtwin.twins._kept_diagnosis import with_record
 
 DAYS = {"a": "2026-05-01", "b": "2026-05-06", "c": "2026-05-09"}

@@ -10,7 +10,7 @@ import pytest
 from dtwin.features.sine import fit_tone
 from dtwin.features.tone_window import tone_contract
 from dtwin.features.windows import StreamingWindow
-from dtwin.links.state import LiveValues
+from dtwin.links.layout import LiveValues
 from dtwin.serve._axis_inputs import _ChannelWindows, _ToneWatch
 
 RATE_HZ = 200.0

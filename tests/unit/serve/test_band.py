@@ -11,7 +11,7 @@ import pytest
 from bundles import path_bundle, sensor_bundle
 
 from dtwin.errors import GateRefusal, InputError
-from dtwin.links import state as layout
+from dtwin.links import layout
 from dtwin.serve.band import COVARIANCE, HELD_OUT, Band, constant_band, fade, require_fading
 from dtwin.serve.builder import GraphBuilder
 from dtwin.serve.bundle import Bundle, _checksum

@@ -15,8 +15,8 @@ import pytest
 from bundles import path_bundle
 
 from dtwin.serve.builder import GraphBuilder
-from dtwin.serve.export import to_c, to_latex, to_python, to_text
 from dtwin.serve.graph import Graph
+from dtwin.serve.graph_code import to_c, to_latex, to_python, to_text
 
 INPUTS, STATES, OUTPUTS = ("x", "y"), ("s", "u"), ("a", "b")
 

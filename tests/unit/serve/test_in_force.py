@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dtwin.errors import DeviceError
-from dtwin.links.state import SEQUENCE_LIMIT
+from dtwin.links.layout import SEQUENCE_LIMIT
 from dtwin.serve._in_force import InForce
 
 STEP_UM = 4.0

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from dtwin.config import Home
-from dtwin.links import state as layout
+from dtwin.links import layout
 from dtwin.report.live_plots import circle_figure
 from dtwin.serve import live_board as boards
 from dtwin.serve.live_board import live_board, read_board

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from dtwin.config import Home
-from dtwin.links import state as layout
+from dtwin.links import layout
 from dtwin.serve import safety
 from dtwin.serve.live_board import live_board, live_state, read_board
 

@@ -17,9 +17,9 @@ from bundles import path_bundle, sensor_bundle
 from repeatable_error import repeatable_error_um
 
 from dtwin.errors import DeviceError, InputError
-from dtwin.features.motion import PathInputs
+from dtwin.features.path_inputs import PathInputs
 from dtwin.features.windows import WindowContract
-from dtwin.links import state as layout
+from dtwin.links import layout
 from dtwin.links.ur import UrLink
 from dtwin.machines.cobot import VirtualCobot
 from dtwin.machines.motion import CircleCondition

@@ -20,7 +20,6 @@ from dtwin.lifecycle._export_records import whose
 from dtwin.machine_record import keep_record
 from dtwin.pipeline.home_check import check_home
 from dtwin.pipeline.machine_history import champion_of
-from dtwin.serve.barred import BarredWatch, bar, barred_why
 from dtwin.serve.bundle_file import load_bundle, save_bundle, write_json
 from dtwin.serve.pointer import (
     clear_trial,
@@ -32,7 +31,8 @@ from dtwin.serve.pointer import (
     write_machine,
     write_pointer,
 )
-from dtwin.serve.sealed import _SEAL, BARRED, CHAMPION, write_sealed
+from dtwin.serve.sealed import _SEAL, CHAMPION, WITHDRAWN, write_sealed
+from dtwin.serve.withdrawn import WithdrawalWatch, stop_serving, withdrawn_why
 from dtwin.workbench._access import Access
 from dtwin.workbench._bench import Bench
 from dtwin.workbench.server import application
@@ -69,8 +69,8 @@ def test_a_state_that_only_the_registry_tells_is_not_believed(home: Home) -> Non
     assert proven_states("cobot-a", said, home) == nothing | {3: "champion"}
     pointer.write_text(pointer.read_text().replace('"version": 3', '"version": 4'))
     assert proven_states("cobot-a", said, home) == nothing
-    bar("cobot-a", home, 3, "it made things worse")
-    assert proven_states("cobot-a", {3: "champion"}, home) == {3: "barred"}
+    stop_serving("cobot-a", home, 3, "it made things worse")
+    assert proven_states("cobot-a", {3: "champion"}, home) == {3: "withdrawn"}
 
 
 def test_a_bundle_of_a_newer_dtwin_is_told_as_such(home: Home, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -94,13 +94,21 @@ def test_machine_may_be_left_out_when_there_is_one(home: Home) -> None:
         resolve("latest", None, home)
 
 
-@pytest.mark.parametrize("state", ["candidate", "barred"])
+@pytest.mark.parametrize("state", ["candidate", "withdrawn"])
 def test_what_did_not_pass_is_only_looked_at(home: Home, state: str) -> None:
     promoted(home, state)
     with pytest.raises(GateRefusal, match=state) as refusal:
         resolve("latest", "cobot-a", home)
     assert refusal.value.exit_code == 3
     assert resolve("latest", "cobot-a", home, harmless=True).state == state
+
+
+def test_the_former_word_for_withdrawn_is_understood(home: Home) -> None:
+    pointer = promoted(home)
+    write_sealed(pointer.parent, CHAMPION, json.loads(pointer.read_text()) | {"state": "barred"})
+    with pytest.raises(GateRefusal, match="withdrawn"):
+        resolve("latest", "cobot-a", home)
+    assert resolve("latest", "cobot-a", home, harmless=True).state == "withdrawn"
 
 
 def test_exchanged_bundle_is_refused_even_to_look_at(home: Home) -> None:
@@ -207,8 +215,8 @@ def test_file_is_only_looked_at_unless_a_pointer_names_it(home: Home, tmp_path: 
     copy = tmp_path / "copy.json"
     copy.write_bytes(served.read_bytes())
     assert resolve(str(copy), None, home).state == "champion"
-    write_pointer("cobot-a", home, served, 3, "barred")
-    with pytest.raises(GateRefusal, match="barred"):
+    write_pointer("cobot-a", home, served, 3, "withdrawn")
+    with pytest.raises(GateRefusal, match="withdrawn"):
         resolve(str(copy), None, home)
 
 
@@ -252,20 +260,20 @@ def test_a_pointer_of_another_version_than_its_bundle_is_refused(home: Home) -> 
 
 def test_a_withdrawn_version_stays_so_whatever_becomes_of_the_list(home: Home) -> None:
     pointer = promoted(home)
-    bar("cobot-a", home, 3, "worse")
-    with pytest.raises(GateRefusal, match="barred"):
+    stop_serving("cobot-a", home, 3, "worse")
+    with pytest.raises(GateRefusal, match="withdrawn"):
         resolve("latest", "cobot-a", home)
-    listed = pointer.with_name(BARRED)
+    listed = pointer.with_name(WITHDRAWN)
     for spoil in (listed.unlink, lambda: listed.write_text("{}"), lambda: listed.write_text('{"30": "worse"}')):
         spoil()
         with pytest.raises(GateRefusal) as refused:
             resolve("latest", "cobot-a", home)
         assert refused.value.code == "seal.differs"
-    watch = BarredWatch("cobot-a", home, 3)
+    watch = WithdrawalWatch("cobot-a", home, 3)
     listed.unlink()
     watch._next_s = 0.0
     assert watch() == "the list of withdrawn versions cannot be read"
-    watch = BarredWatch("cobot-a", home, 3)
+    watch = WithdrawalWatch("cobot-a", home, 3)
     pointer.parent.rename(pointer.parent.with_name("away"))
     watch._next_s = 0.0
     assert "cannot be seen any more" in watch()
@@ -290,7 +298,7 @@ def test_a_tool_that_was_moved_is_refused(home: Home) -> None:
 
 def test_a_writer_that_dies_at_any_moment_leaves_what_is_valid(home: Home) -> None:
     promoted(home)
-    bar("cobot-a", home, 1, "first")
+    stop_serving("cobot-a", home, 1, "first")
     folder = machine_folder("cobot-a", home)
 
     class Died(Exception):
@@ -309,22 +317,22 @@ def test_a_writer_that_dies_at_any_moment_leaves_what_is_valid(home: Home) -> No
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr("dtwin.serve.sealed.write_json", write)
             with contextlib.suppress(Died):
-                bar("cobot-a", home, 2, f"died at {step}")
+                stop_serving("cobot-a", home, 2, f"died at {step}")
 
     for step in range(4):
         dies_at(step)
-        assert barred_why("cobot-a", home, 1) == "first"
+        assert withdrawn_why("cobot-a", home, 1) == "first"
         assert resolve("latest", "cobot-a", home).version == 3
-        assert (barred_why("cobot-a", home, 2) != "") is (step > 1)
-    assert {p.name for p in folder.glob("*.json")} == {CHAMPION, BARRED, _SEAL, "v3.json"}
+        assert (withdrawn_why("cobot-a", home, 2) != "") is (step > 1)
+    assert {p.name for p in folder.glob("*.json")} == {CHAMPION, WITHDRAWN, _SEAL, "v3.json"}
 
 
 def test_many_writers_at_once_lose_nothing(home: Home) -> None:
     promoted(home)
     code = (
         "import sys; from pathlib import Path; from dtwin.config import Home\n"
-        "from dtwin.serve.barred import bar\n"
-        "for k in range(10): bar('cobot-a', Home(Path(sys.argv[1])), 100 * int(sys.argv[2]) + k, 'x')\n"
+        "from dtwin.serve.withdrawn import stop_serving\n"
+        "for k in range(10): stop_serving('cobot-a', Home(Path(sys.argv[1])), 100 * int(sys.argv[2]) + k, 'x')\n"
     )
     writers = [subprocess.Popen([sys.executable, "-c", code, str(home.root), str(n)]) for n in range(1, 4)]
     while any(w.poll() is None for w in writers):
@@ -332,7 +340,7 @@ def test_many_writers_at_once_lose_nothing(home: Home) -> None:
     assert [w.returncode for w in writers] == [0, 0, 0]
     for n in range(1, 4):
         for k in range(10):
-            assert barred_why("cobot-a", home, 100 * n + k) == "x"
+            assert withdrawn_why("cobot-a", home, 100 * n + k) == "x"
 
 
 def test_a_champion_of_a_machine_without_a_file_of_its_own_is_checked_with_the_home(home: Home) -> None:
@@ -344,11 +352,11 @@ def test_a_champion_of_a_machine_without_a_file_of_its_own_is_checked_with_the_h
     assert list(check_home(home).wrong) == ["bundles/cobot-a"]
 
 
-@pytest.mark.parametrize("name", [CHAMPION, "trial.json", "machine.json", BARRED, _SEAL])
+@pytest.mark.parametrize("name", [CHAMPION, "trial.json", "machine.json", WITHDRAWN, _SEAL])
 @pytest.mark.parametrize("how", ["gone", "cut", "empty", "folder", "pipe"])
 def test_a_file_that_is_lost_or_cut_is_missed(home: Home, name: str, how: str) -> None:
     write_machine("cobot-a", home, {"type": "ur10e", "tcp_mm": [0.0, 0.0, 158.3]})
-    bar("cobot-a", home, 1, "worse")
+    stop_serving("cobot-a", home, 1, "worse")
     promoted(home)
     promoted(home, "trial")
     path = machine_folder("cobot-a", home) / name

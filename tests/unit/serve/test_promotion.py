@@ -15,10 +15,10 @@ from dtwin.config import Home
 from dtwin.errors import GateRefusal, InputError, StoreError
 from dtwin.machine_record import changed_since, with_event
 from dtwin.pipeline.machine_history import champion_of
-from dtwin.serve.barred import barred_why
 from dtwin.serve.bundle_file import load_bundle
 from dtwin.serve.delivery import delivery, install
 from dtwin.serve.pointer import machine_folder, resolve
+from dtwin.serve.withdrawn import withdrawn_why
 from dtwin.train.evidence_record import Record
 from dtwin.train.gates import Verdict
 from dtwin.train.promotion import promote, rollback, state_of, trial, withdraw
@@ -134,8 +134,8 @@ def test_a_rollback_after_a_promotion_that_was_cut_off_bars_what_was_served(
         assert served in (2, 3)
         assert rollback(registry, home, machine, "it hummed").version == str(served - 1)
         assert resolve("latest", machine, home).version == served - 1
-        barred = [n for n in (1, 2, 3) if barred_why(machine, home, n)]
-        assert barred == [served]
+        withdrawn = [n for n in (1, 2, 3) if withdrawn_why(machine, home, n)]
+        assert withdrawn == [served]
         told = [entry["version"] for entry in history(home, machine) if entry["action"] == "champion"]
         assert told == ["1", "2", "3"][:served]
         if ended:
@@ -151,10 +151,10 @@ def test_what_was_judged_is_withdrawn_and_not_what_became_champion_meanwhile(reg
     withdrawn, left = withdraw(registry, home, first, "worse than nothing")
     assert left is not None
     assert (withdrawn.version, left.version) == ("1", "2")
-    assert barred_why("judged", home, 1)
+    assert withdrawn_why("judged", home, 1)
     assert resolve("latest", "judged", home).version == 2
     assert withdraw(registry, home, second, "worse, too")[1] is None
-    assert barred_why("judged", home, 2) == "worse, too"
+    assert withdrawn_why("judged", home, 2) == "worse, too"
 
 
 def test_the_first_champion_can_be_taken_back(registry: Registry) -> None:
@@ -168,8 +168,8 @@ def test_the_first_champion_can_be_taken_back(registry: Registry) -> None:
         rollback(registry, home, "first", "x" * 1001)
     assert champion_of(home, "first")
     assert rollback(registry, home, "first", "it hummed") is None
-    assert barred_why("first", home, 1) == "it hummed"
-    assert state_of(registry.version("first", "1"), home) == "barred"
+    assert withdrawn_why("first", home, 1) == "it hummed"
+    assert state_of(registry.version("first", "1"), home) == "withdrawn"
     with pytest.raises(InputError, match="no champion"):
         rollback(registry, home, "first")
 
@@ -185,8 +185,8 @@ def test_nothing_is_rolled_back_to_that_was_never_champion_whatever_aliases_say(
     assert served.version == registry.version("aliases", "champion").version == "1"
     registry.client.set_registered_model_alias(model_name("aliases"), "previous", "2")
     assert rollback(registry, home, "aliases") is None
-    assert barred_why("aliases", home, 1)
-    assert not barred_why("aliases", home, 2)
+    assert withdrawn_why("aliases", home, 1)
+    assert not withdrawn_why("aliases", home, 2)
 
 
 def test_old_evidence_stays_old_and_ends_when_the_machine_is_changed(

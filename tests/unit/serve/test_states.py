@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from dtwin.kinematics import UR10E
-from dtwin.links import state as layout
-from dtwin.links.state import LiveValues
+from dtwin.links import layout
+from dtwin.links.layout import LiveValues
 from dtwin.links.state_feed import _REQUIRED, StateFeed
 from dtwin.machines.cobot import VirtualCobot
 from dtwin.machines.motion import CircleCondition

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dtwin.errors import InputError
-from dtwin.links import state as layout
+from dtwin.links import layout
 from dtwin.machines.cobot import VirtualCobot
 from studies.machines.joint_program import Waypoint, drive_program
 from studies.machines.placing_cell import DATUM_MM, PLACE_MM

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dtwin.train.candidates import RECIPES, Recipe, fitted
+from dtwin.train.comparison_models import RECIPES, Recipe, fitted
 from dtwin.train.results import Candidate, Scores, r2_text, worse_in_sample
 
 

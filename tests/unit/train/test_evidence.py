@@ -14,7 +14,7 @@ from dtwin.errors import DtwinError, GateRefusal, InputError
 from dtwin.lake.store import Lake
 from dtwin.report.campaign import evidence_advice
 from dtwin.schema import Campaign, Run, RunMeta
-from dtwin.train.evidence import Evidence, EvidenceRun, evidence_of_runs
+from dtwin.train.closed_loop import Evidence, EvidenceRun, evidence_of_runs
 from dtwin.train.evidence_record import _Gathered, gathered
 from dtwin.train.oracle import MeasuredWays
 

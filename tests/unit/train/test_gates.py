@@ -4,12 +4,12 @@ import dataclasses
 
 import pytest
 
-from dtwin.features.motion import PATH_INPUT_UNITS
+from dtwin.features.path_inputs import PATH_INPUT_UNITS
 from dtwin.serve.builder import GraphBuilder
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.bundle_file import create_bundle
 from dtwin.serve.interface import Input, Output, SafetyLimits
-from dtwin.train.evidence import Evidence
+from dtwin.train.closed_loop import Evidence
 from dtwin.train.gates import Verdict, evidence_gate, offline_gates
 
 GOOD = {

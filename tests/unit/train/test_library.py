@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from dtwin.features.motion import PATH_INPUTS
+from dtwin.features.path_inputs import PATH_INPUTS
 from dtwin.kinds.circular._library import Gear, Library, Mode, _free_step, weighted_sum
 from dtwin.serve.builder import GraphBuilder
 from dtwin.serve.tape import Tape

@@ -30,7 +30,7 @@ from dtwin.kinds.linear._small_net import SmallNet, new_net
 from dtwin.machines.printed_network import MAPPED_IN, MAPPED_MM, PITCH_IN, read_network
 from dtwin.serve.builder import Expression, GraphBuilder
 from dtwin.serve.bundle_file import create_bundle
-from dtwin.serve.export import to_python
+from dtwin.serve.graph_code import to_python
 from dtwin.serve.interface import Input, Output, SafetyLimits
 from dtwin.serve.runtime import CompiledBundle
 from studies.lathe_paper import exact_averages, table_steps

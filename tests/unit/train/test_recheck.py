@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from dtwin.errors import InputError
-from dtwin.train.evidence import Evidence
-from dtwin.train.recheck import CheckedRun, judge, judge_evidence
+from dtwin.train.closed_loop import Evidence
+from dtwin.train.still_helps import CheckedRun, judge, judge_evidence
 
 CONDITIONS = (("XY", 100.0, 2000.0), ("YZ", 150.0, 5000.0), ("ZX", 100.0, 5000.0))
 

@@ -27,7 +27,7 @@ from dtwin.acquire.ingest import ingest
 from dtwin.config import Home
 from dtwin.errors import InputError, StoreError
 from dtwin.lake.store import Lake
-from dtwin.links import state as layout
+from dtwin.links import layout
 from dtwin.machine_record import events_of, keep_record, tolerances_of, with_event
 from dtwin.physics.experiment import planned_observations
 from dtwin.physics.gridding import Condition

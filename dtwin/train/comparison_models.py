@@ -19,10 +19,10 @@ from sklearn.tree import DecisionTreeRegressor
 
 from dtwin.schema import Floats
 from dtwin.statistics import rms
+from dtwin.train.campaign_rows import Rows
 from dtwin.train.inputs import GenericInputs
 from dtwin.train.latency import onnx_of
 from dtwin.train.results import Candidate, Scores
-from dtwin.train.rows import Rows
 
 _FIT_ROWS = 6000
 # Share of an input's size below which its spread is that of rounding and of numerical derivatives.

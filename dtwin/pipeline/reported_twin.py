@@ -14,7 +14,7 @@ from dtwin.lake.rows import by_campaign
 from dtwin.lake.store import Lake
 from dtwin.physics.effect import Effect
 from dtwin.physics.twin import Twin
-from dtwin.pipeline.certificate import facts_of
+from dtwin.pipeline.campaign_certificate import facts_of
 from dtwin.pipeline.kept import sheet_of_campaign, stamp_of, variation_of
 from dtwin.report.campaign import sheet_section
 from dtwin.report.faults import faults, found_faults

@@ -8,8 +8,8 @@ from typing import Any
 
 from dtwin.report.faults import with_k2
 from dtwin.report.html import Part, Section, Table, told_section
-from dtwin.report.several import contradiction_lines
 from dtwin.report.text import gain_words, micrometres, table
+from dtwin.report.twin_of_campaigns import contradiction_lines
 from dtwin.report.twin_of_kind import report_of
 from dtwin.report.twin_plots import ranked_figure, waterfall_figure
 from dtwin.report.twins import history_table, number

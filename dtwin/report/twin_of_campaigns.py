@@ -17,7 +17,7 @@ from dtwin.report.twins import number
 from dtwin.units import shown_number, shown_parameter, shown_unit
 
 if TYPE_CHECKING:
-    from dtwin.twins.several import SeveralComparison
+    from dtwin.twins.several_campaigns import SeveralComparison
 
 _HEAD = ("campaign", "kind", "begun", "left, µm RMS", "of it repeats agree on, µm", "noise floor, µm")
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dtwin.kinematics import radial_unit
-from dtwin.links import state as layout
+from dtwin.links import layout
 from dtwin.machines import mechanism as m_
 from dtwin.machines._sensors import accelerometer_group, drift_kernel, read_ballbar
 from dtwin.machines.motion import ANGLE0, START_S, CircleCondition, MotionPlan

@@ -8,50 +8,55 @@ import time
 from dtwin.config import Home
 from dtwin.errors import DtwinError, InputError
 from dtwin.serve._machine_file import machine_folder
-from dtwin.serve.sealed import BARRED, locked, read_sealed, write_sealed
+from dtwin.serve.sealed import WITHDRAWN, locked, read_sealed, write_sealed
 
 _LOOK_EVERY_S = 1.0
 _NO_LIST, _GONE = (0, 0), (-1, -1)
 
 
-def bar(machine: str, home: Home, version: int, reason: str) -> None:
+def named_today(state: str) -> str:
+    """Return a state as it is called now: homes of before December 2026 hold ``barred`` for ``withdrawn``."""
+    return "withdrawn" if state == "barred" else state
+
+
+def stop_serving(machine: str, home: Home, version: int, reason: str) -> None:
     """Withdraw a version: sessions that serve it release and end, and none begins.
 
     Raises ``StoreError`` when the file cannot be written.
     """
     folder = machine_folder(machine, home)
     with locked(folder):
-        write_sealed(folder, BARRED, _read(machine, home) | {str(version): reason[:500]})
+        write_sealed(folder, WITHDRAWN, _read(machine, home) | {str(version): reason[:500]})
 
 
-def allow(machine: str, home: Home, version: int) -> None:
+def serve_again(machine: str, home: Home, version: int) -> None:
     """Take a version off the list, when it was promoted after all; none is no mistake."""
     folder = machine_folder(machine, home)
-    if not (folder / BARRED).exists():
+    if not (folder / WITHDRAWN).exists():
         return
     with locked(folder):
         content = _read(machine, home)
         if content.pop(str(version), None) is not None:
-            write_sealed(folder, BARRED, content)
+            write_sealed(folder, WITHDRAWN, content)
 
 
-def barred_why(machine: str, home: Home, version: int) -> str:
+def withdrawn_why(machine: str, home: Home, version: int) -> str:
     """Return why a version was withdrawn, empty when it was not."""
     return _read(machine, home).get(str(version), "")
 
 
-class BarredWatch:
+class WithdrawalWatch:
     """Asked every tick, looks once a second, whether a version was withdrawn.
 
     Args:
-        machine: As for ``bar``.
-        home: As for ``bar``.
-        version: As for ``bar``.
+        machine: As for ``stop_serving``.
+        home: As for ``stop_serving``.
+        version: As for ``stop_serving``.
     """
 
     def __init__(self, machine: str, home: Home, version: int) -> None:
         self._machine, self._home, self._version = machine, home, version
-        self._file = machine_folder(machine, home) / BARRED
+        self._file = machine_folder(machine, home) / WITHDRAWN
         self._stamp = self._look()
         self._next_s = time.monotonic() + _LOOK_EVERY_S
 
@@ -67,7 +72,7 @@ class BarredWatch:
         if stamp == _GONE:
             return "the folder of its bundles cannot be seen any more, so that nothing could withdraw it"
         try:
-            return barred_why(self._machine, self._home, self._version)
+            return withdrawn_why(self._machine, self._home, self._version)
         except DtwinError:
             return "the list of withdrawn versions cannot be read"
 
@@ -84,9 +89,11 @@ class BarredWatch:
 
 def _read(machine: str, home: Home) -> dict[str, str]:
     folder = machine_folder(machine, home)
-    sealed = read_sealed(folder, BARRED)
+    sealed = read_sealed(folder, WITHDRAWN)
     if sealed is None:
         return {}
     if not isinstance(sealed, dict):
-        raise InputError("the list of withdrawn versions is malformed", code="barred.file", where=str(folder / BARRED))
+        raise InputError(
+            "the list of withdrawn versions is malformed", code="withdrawn.file", where=str(folder / WITHDRAWN)
+        )
     return {str(key): str(value) for key, value in sealed.items()}

@@ -14,7 +14,7 @@ from dtwin.errors import InputError
 from dtwin.schema import Floats
 from dtwin.statistics import t_quantile
 from dtwin.train.champion_error import um_text
-from dtwin.train.evidence import Evidence
+from dtwin.train.closed_loop import Evidence
 from dtwin.train.results import condition_name
 
 _Verdict = Literal["helps", "unclear", "worse"]

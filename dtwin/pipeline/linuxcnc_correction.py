@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from dtwin.acquire.linuxcnc import PERIOD_S, run_circles
+from dtwin.acquire.linuxcnc_circles import PERIOD_S, run_circles
 from dtwin.errors import DeviceError
 from dtwin.links.linuxcnc import Bridge, LinuxcncLink
 from dtwin.machines.linuxcnc.circles import Circle, Trace
-from dtwin.machines.linuxcnc.session import LinuxcncSession
+from dtwin.machines.linuxcnc.instance import LinuxcncSession
 from dtwin.progress import Progress, silent
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.decision import Decision

@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from dtwin.report.html import Part, Section, Table, parts_text
-from dtwin.report.machine_twin import history_section, missing_section
 from dtwin.report.text import table
+from dtwin.report.twin_of_machine import history_section, missing_section
 
 if TYPE_CHECKING:
     import plotly.graph_objects as go

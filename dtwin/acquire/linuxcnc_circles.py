@@ -17,7 +17,7 @@ from dtwin.errors import DeviceError, InputError
 from dtwin.links.linuxcnc import PERIOD_S, Bridge
 from dtwin.machines.linuxcnc.circles import SAMPLE_HZ, Circle, Trace, program, read_samples, traces
 from dtwin.machines.linuxcnc.configuration import MillFaults
-from dtwin.machines.linuxcnc.session import LinuxcncSession
+from dtwin.machines.linuxcnc.instance import LinuxcncSession
 from dtwin.schema import PLANES, Campaign, Direction, Plane, Run, RunMeta
 
 MACHINE = "linuxcnc-mill"
