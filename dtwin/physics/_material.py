@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 
 import numpy as np
 
@@ -12,6 +13,9 @@ from dtwin.physics.observations import Observations
 from dtwin.physics.problem import Problem, Term, unweighted
 from dtwin.physics.whitening import from_harmonics, harmonic_numbers
 from dtwin.schema import Floats
+
+# Effects, and stand-ins by the label of an effect.
+Material = tuple[list[Term], dict[str, list[Term]]]
 
 # Smaller effects are not reported: the library's laws are not exact either.
 IMMATERIAL = 0.08
@@ -42,30 +46,33 @@ def floor_um(problem: Problem) -> float:
     return problem.noise.floor_um if problem.noise is not None else 0.0
 
 
-def material(
-    terms: Sequence[Term], known: Sequence[Term], library: Candidates, problem: Problem, *, exact: bool
-) -> tuple[list[Term], dict[str, list[Term]]]:
-    """Return the effects that are more than how far the laws of others are off, and their stand-ins.
+def weighed(
+    terms: Sequence[Term], known: Sequence[Term], library: Candidates, problem: Problem
+) -> Callable[[bool], Material]:
+    """Return what tells which effects are more than how far the laws of others are off, and their stand-ins, where laws are exact or not.
 
     Every effect must explain a fiftieth, as RMS, of what all explain, and a twentieth of what those
-    explain whose harmonics are its own; one of several shapes a twentieth of all, or where laws are ``exact`` a tenth
+    explain whose harmonics are its own; one of several shapes a twentieth of all, or where laws are exact a tenth
     of what all explain where it acts, or less where the error is so large beside the noise that laws are shown to be off by
     far less. A stand-in, by the label of
     the effect, is a simpler effect that loses no more in its place than laws are off.
 
     ``library``: the candidates for what told the effects; ``problem``: the whole campaign.
     """
-    obs = library.obs
     if not terms:
+        return lambda _exact: ([], {})
+    dictionary = Dictionary(unweighted(library.obs, known), library)
+    return partial(_material, dictionary, dictionary.add(terms), floor_um(problem))
+
+
+def _material(dictionary: Dictionary, entries: list[Entry], floor_um: float, exact: bool) -> Material:
+    if not entries:
         return [], {}
-    dictionary = Dictionary(unweighted(obs, known), library)
-    found = dictionary.add(terms)
-    if not found:
-        return [], {}
-    floor = (IMMATERIAL * floor_um(problem)) ** 2 * float(obs.mask.sum())
-    whole = dictionary.explained(found)
+    obs = dictionary.candidates.obs
+    floor = (IMMATERIAL * floor_um) ** 2 * float(obs.mask.sum())
+    whole = dictionary.explained(entries)
     # That laws are exact is shown to within the noise only.
-    in_noise = (_IN_NOISE * floor_um(problem)) ** 2 * float(obs.mask.sum())
+    in_noise = (_IN_NOISE * floor_um) ** 2 * float(obs.mask.sum())
     exact = exact and in_noise < _LEAST**2 * whole
     least_share, inexact, local_share = _LEAST, _INEXACT, _LOCAL
     if exact:
@@ -78,8 +85,8 @@ def material(
     floor = max(floor, least_share**2 * whole)
     # What has several shapes can take that of any misfit.
     shaped = _INEXACT**2 * whole
-    where = _where_it_acts(dictionary, found, obs) if exact else [np.inf] * len(found)
-    beside = {entry.label: _AFTER**2 * _most_alike(dictionary, found, entry) for entry in found}
+    where = _where_it_acts(dictionary, entries, obs) if exact else [np.inf] * len(entries)
+    beside = {entry.label: _AFTER**2 * _most_alike(dictionary, entries, entry) for entry in entries}
     least = {
         entry.label: max(
             floor,
@@ -87,9 +94,9 @@ def material(
             if len(entry.term.shape) > 1
             else inexact**2 * alike,
         )
-        for entry, alike, local in zip(found, _alike(dictionary, found, obs), where, strict=True)
+        for entry, alike, local in zip(entries, _alike(dictionary, entries, obs), where, strict=True)
     }
-    chosen = _worthwhile(dictionary, found, least)
+    chosen = _worthwhile(dictionary, entries, least)
     stand_ins = {e.label: _stand_ins(dictionary, chosen, e, least[e.label]) for e in chosen}
     return [entry.term for entry in chosen], stand_ins
 

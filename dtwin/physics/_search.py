@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from dtwin.physics._best_set import Best, best_set
 from dtwin.physics._best_shapes import in_best_shape, in_best_shapes
 from dtwin.physics._dictionary import Dictionary
 from dtwin.physics._hunt import without_bends
-from dtwin.physics._material import IMMATERIAL, floor_um, hidden_by_mask, material
+from dtwin.physics._material import IMMATERIAL, Material, floor_um, hidden_by_mask, weighed
 from dtwin.physics._rivals import Found, described, level_beside, refined_candidate
 from dtwin.physics._score import NoiseLevel, lack_of_fit, noise_level
 from dtwin.physics.candidates import Candidate, Candidates, independent, probes
@@ -60,6 +60,7 @@ class Search:
     ``lack_of_fit``: p-value at the start and at the end.
     ``systematic_um``: RMS of what repeats agree on, at the start and at the end.
     ``best``: what the search among sets of effects gave; None when it was not needed.
+    ``if_inexact``: what of it would be looked at if laws that were taken to be exact are not; None where that is the same.
     ``untold``: labels of effects that move between too few runs to be told, and that the others were tested beside.
     """
 
@@ -70,6 +71,7 @@ class Search:
     lack_of_fit: tuple[float, float]
     systematic_um: tuple[float, float]
     best: Best | None
+    if_inexact: Material | None
     untold: tuple[str, ...] = ()
 
     @property
@@ -108,16 +110,18 @@ def search(
     untold: list[Term] = []
     stand_ins: dict[str, list[Term]] = {}
     told, library = problem, candidates
-    best = None
+    best = if_inexact = None
     if top is not None or fit <= _FIT_IS_FINE:
         tell(f"{problem.obs.campaign.name}: sets of effects")
-        best = (
-            replace(before.best, exact=False)
-            if before and before.best
-            else best_set(problem, first.dictionary, known, beside)
-        )
+        best = before.best if before and before.best else best_set(problem, first.dictionary, known, beside)
         library, obs = best.library, best.library.obs
-        terms, stand_ins = material(best.terms, known, library, problem, exact=best.exact)
+        if before and before.if_inexact:
+            terms, stand_ins = before.if_inexact
+        else:
+            material = weighed(best.terms, known, library, problem)
+            terms, stand_ins = material(best.exact)
+            if best.exact and (other := material(False)) != (terms, stand_ins):
+                if_inexact = other
         if obs is not problem.obs and problem.noise is not None:
             told = beside(weighted_like(obs, known, problem.noise))
         terms = without_bends(terms, told, library)
@@ -136,7 +140,15 @@ def search(
     end = lack_of_fit(last, last.residual, seed) if terms else fit
     left_um = systematic_rms_um(problem.obs, in_angle(plain_last))
     return Search(
-        found, first, last, plain_last, (fit, end), (before_um, left_um), best, tuple(t.label for t in untold)
+        found,
+        first,
+        last,
+        plain_last,
+        (fit, end),
+        (before_um, left_um),
+        best,
+        if_inexact,
+        tuple(t.label for t in untold),
     )
 
 

@@ -180,7 +180,7 @@ def _searched(
         shown_by_channel=shown_by_channel,
     )
     found = again()
-    if found.best is not None and found.best.exact and doubted(found, 0.0, _tests(found)):
+    if found.if_inexact is not None and doubted(found, 0.0, _tests(found)):
         # What is small may then be how far others are off.
         other = again(before=found)
         if _doubted_um(other) <= _doubted_um(found):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 
 from dtwin.physics.effect import Effect, Law, Parameter, Shape, ShapeParameter, moves, stacked
@@ -16,7 +18,9 @@ def _columns(state: State, axis: str, shape: Shape) -> Floats:
     if not moves(state, axis):
         return np.zeros((state.n, 2))
     rate_rad_s = state.feed_mm_s / state.radius_mm
-    turned_rad, lags = _turn(state.radius_mm, rate_rad_s, shape)
+    turned_rad, lags = _turn(
+        state.radius_mm, rate_rad_s, shape["presliding_um"], shape["stribeck_mm_s"], shape["response_ms"]
+    )
     # What turned longer ago than a circle takes is long past: friction slides at full speed.
     since_rad = rate_rad_s * state.since_reversal_s[axis]
     since_rad = np.where(since_rad > 2.0 * np.pi, 0.5 * np.pi, since_rad)
@@ -24,16 +28,20 @@ def _columns(state: State, axis: str, shape: Shape) -> Floats:
     return stacked(*(0.5 * np.interp(at_rad, turned_rad, lag) * state.sensitivity[axis] for lag in lags))
 
 
-def _turn(radius_mm: float, rate_rad_s: float, shape: Shape) -> tuple[Floats, Floats]:
+# Both directions, and both axes, turn alike.
+@lru_cache(maxsize=64)
+def _turn(
+    radius_mm: float, rate_rad_s: float, presliding_um: float, stribeck_mm_s: float, response_ms: float
+) -> tuple[Floats, Floats]:
     """Return angles from the reversal at the positive end, (n,), and the drive's answer to friction and to its slow part, (2, n)."""
     half_rad = 2.0 * np.pi * (np.arange(_POINTS // 2) + 0.5) / _POINTS
     # Before it slides, friction builds up over some micrometres of travel since the last reversal.
     travelled_um = UM_PER_MM * radius_mm * (1.0 - np.cos(half_rad))
-    force = 1.0 - 2.0 * np.exp(-travelled_um / shape["presliding_um"])
-    slow = np.exp(-((rate_rad_s * radius_mm * np.sin(half_rad) / shape["stribeck_mm_s"]) ** 2))
+    force = 1.0 - 2.0 * np.exp(-travelled_um / presliding_um)
+    slow = np.exp(-((rate_rad_s * radius_mm * np.sin(half_rad) / stribeck_mm_s) ** 2))
     half = np.stack([force, force * slow])
     # The position loop answers with its time constant, harmonic by harmonic.
-    late = 1.0 + 1j * np.arange(_POINTS // 2 + 1) * rate_rad_s * shape["response_ms"] / 1e3
+    late = 1.0 + 1j * np.arange(_POINTS // 2 + 1) * rate_rad_s * response_ms / 1e3
     answer = np.fft.irfft(np.fft.rfft(np.concatenate([half, -half], axis=1)) / late, _POINTS)
     return np.concatenate([half_rad, half_rad + np.pi]), answer
 

@@ -10,7 +10,7 @@ from test_five_runs import LIBRARY, campaign
 
 from dtwin.physics._condensed import condensed
 from dtwin.physics._dictionary import dictionary_for
-from dtwin.physics._material import material
+from dtwin.physics._material import weighed
 from dtwin.physics.candidates import Candidates, applicable
 from dtwin.physics.observations import Observations
 from dtwin.physics.problem import Problem, Term, set_up
@@ -78,4 +78,4 @@ def test_of_effects_that_what_is_known_explains_none_is_material() -> None:
     instances, _ = applicable(LIBRARY, obs, [])
     known = next(Term(i, i.effect.start_shape) for i in instances if i.effect.name == "backlash")
     problem = set_up(obs, [known], [])
-    assert material([known], [known], Candidates(obs, instances), problem, exact=False) == ([], {})
+    assert weighed([known], [known], Candidates(obs, instances), problem)(False) == ([], {})
