@@ -1,7 +1,7 @@
 """The published simulated machines, built of mechanisms: what a fit finds beside what was set.
 
 The published simulator adds formulas, and the library's formulas find its parameters again
-(tests/unit/physics/test_simulator_table.py). Here the same numbers go into the virtual mill,
+(tests/campaign/physics/test_simulator_table.py). Here the same numbers go into the virtual mill,
 where play is taken up over a distance, a bent guideway is an arc, and the servo loop has its
 own time: what is found differs, and this is printed as a bias. Reversal spikes are left out:
 friction in a loop has no height that could be set. Width of play below zero is a screw that

@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from campaign.kinds.turning_target import Target, table, turned
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from starlette.testclient import TestClient
 from typer.testing import CliRunner
-from unit.kinds.turning_target import Target, table, turned
 
 from dtwin.cli import app
 from dtwin.config import Home

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from campaign.kinds.turning_target import Target, turned
 from typer.testing import CliRunner
-from unit.kinds.turning_target import Target, turned
 
 from dtwin.cli import app
 from dtwin.errors import InputError
