@@ -128,6 +128,10 @@ def main() -> None:
 
     from mlflow.server import constants, handlers
 
+    from dtwin.train.registry import Registry
+
+    # First: it makes the tables in one step, and a server that was stopped while it made them could never be started again.
+    registry = Registry(where)
     root = "mlflow-artifacts:/"
     # As `mlflow server` tells its workers.
     os.environ |= {
@@ -140,9 +144,6 @@ def main() -> None:
     handlers.initialize_backend_stores(where.mlflow_uri, where.mlflow_uri, root)
     from mlflow.server.fastapi_app import app
 
-    from dtwin.train.registry import Registry
-
-    registry = Registry(where)
     guarded = Secret(app, mlflow_token(where), port, lambda: _first_view(registry))
     uvicorn.run(guarded, host=HOST, port=port, log_level="warning")
 

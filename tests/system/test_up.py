@@ -5,13 +5,14 @@ from __future__ import annotations
 import os
 import signal
 import socket
+import sqlite3
 import subprocess
 import sys
 import threading
 import urllib.error
 import urllib.request
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
@@ -23,6 +24,7 @@ from running_servers import Up, wait_for
 from dtwin.config import Home
 from dtwin.errors import StoreError
 from dtwin.train.registry import Registry
+from flows import mlflow_server
 from flows.servers import Child
 
 pytestmark = pytest.mark.system
@@ -341,3 +343,21 @@ def test_the_server_of_a_flow_without_up_answers_no_stranger(tmp_path: Path) -> 
         timeout=200,
     )
     assert done.stdout.strip().endswith("401"), done.stderr[-1500:]
+
+
+def test_mlflow_finds_its_tables_whole_and_makes_none_itself(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    # It makes them one by one: a server that was stopped meanwhile never started again.
+    database = tmp_path / "mlflow" / "mlflow.db"
+    whole: list[bool] = []
+
+    def begun(*_: str) -> None:
+        with closing(sqlite3.connect(database)) as opened:
+            whole.append(bool(opened.execute("SELECT version_num FROM alembic_version").fetchone()))
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(os, "environ", {**os.environ, "DTWIN_HOME": str(tmp_path)})
+    monkeypatch.setattr(sys, "argv", ["mlflow_server", "--port", "1"])
+    monkeypatch.setattr("mlflow.server.handlers.initialize_backend_stores", begun)
+    with pytest.raises(KeyboardInterrupt):
+        mlflow_server.main()
+    assert whole == [True]
