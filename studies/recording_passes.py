@@ -82,6 +82,7 @@ def align(run: Run, geometry: Mapping[str, Any]) -> Aligned:
             where=f"run {run.meta.run_id}",
             got=f"{len(motion.stops)} stops and {'a' if run.window else 'no'} marked window",
             allowed="two or more stops half a turn apart, and a marked window",
+            hint="dtwin ingest reads arcs and single turns, too; for dtwin twin fit and diagnose measure each several times",
         )
     stretches = _repeated(run, motion)
     if not stretches:

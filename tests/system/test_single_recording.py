@@ -137,9 +137,11 @@ def test_noise_alone_adds_no_effect() -> None:
 
 
 def test_a_recording_of_one_turn_is_refused_with_the_reason() -> None:
-
     run = read_b5r(SAMPLE).runs[0]
     short = replace(run, samples={k: v[:1500] for k, v in run.samples.items()}, window=(795, 1500))
     with pytest.raises(InputError) as refused:
         align(short, {})
     assert refused.value.code.startswith("single.")
+    still = {name: values if name == "angle_deg" else 0.0 * values for name, values in short.samples.items()}
+    with pytest.raises(InputError, match="dtwin ingest reads arcs and single turns, too"):
+        align(replace(short, samples=still), {})
