@@ -318,6 +318,7 @@ def _require_saved(path: Path, data: bytes, sheets: Sequence[Any]) -> None:
 
 def _heads(rows: list[list[str]]) -> list[str]:
     """Return the row of names, in small letters, above the first of two rows with numbers; empty where a sheet, such as a cover, has no such table."""
+    rows = [row for row in rows if any(row)]
     numbers = [n for n, row in enumerate(rows) if sum(is_number(cell.replace(",", ".")) for cell in row) > 1]
     return [cell.casefold() for cell in rows[numbers[0] - 1]] if len(numbers) > 1 and numbers[0] > 0 else []
 
@@ -330,6 +331,9 @@ def _rows(path: Path, cells: Iterator[Sequence[object]]) -> list[list[str]]:
             raise _refused(path, f"a row below {_LAST_ROW}", "rows of a sheet of Excel")
         texts = [_text(cell) for cell in row]
         if not any(texts):
+            # What stands apart below an empty row may be no reading.
+            if rows and rows[-1]:
+                rows.append([])
             continue
         rows.append(texts)
         # One long text may be that of many cells.
@@ -364,7 +368,7 @@ def _text(cell: object) -> str:
 
 def _as_csv(rows: list[list[str]]) -> bytes:
     out = io.StringIO()
-    csv.writer(out, lineterminator="\n").writerows(rows)
+    csv.writer(out, lineterminator="\n").writerows(row if any(row) else [] for row in rows)
     return out.getvalue().encode()
 
 

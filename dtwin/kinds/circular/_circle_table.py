@@ -56,7 +56,7 @@ from dtwin.kinds.circular._circle_ways import (
     way_of,
     way_of_title,
 )
-from dtwin.kinds.circular._one_circle import require_one_circle
+from dtwin.kinds.circular._one_circle import require_none_apart, require_one_circle
 from dtwin.kinds.circular._titles import require_as_titled
 from dtwin.schema import Campaign, Direction, Finding, Floats, Run, RunMeta
 from dtwin.units import UM_PER_MM
@@ -171,6 +171,7 @@ def read_circle_runs(
         for n in np.flatnonzero(part):
             ways[n] = told
     require_one_circle(columns, body, angle, ways, needed, path)
+    require_none_apart(text, angle, path)
     heads = [column.head for column in columns]
     require_one_channel(heads, body, [*needed, direction_column(columns, body), run_column(columns)], path)
     runs: list[Run] = []

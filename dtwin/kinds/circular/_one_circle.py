@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Container, Sequence
 from dataclasses import dataclass
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dtwin.acquire.foreign_columns import Column
+from dtwin.acquire.table_dialect import is_comment
 from dtwin.errors import InputError
 from dtwin.kinds.circular._circle_ways import run_column
 from dtwin.schema import Floats
@@ -75,6 +77,22 @@ def require_one_circle(
                         allowed="one; or a column direction with CCW and CW, a column run with numbers of repeats",
                         hint="a file for each",
                     )
+
+
+def require_none_apart(text: str, angle_deg: Floats, path: Path) -> None:
+    """Refuse rows of numbers that stand alone below an empty row: means and sums would be taken for readings at the end of the turn."""
+    lines = [line.strip(" \t\r,;|") for line in text.splitlines() if not is_comment(line)]
+    blocks = [list(block) for filled, block in groupby(lines, bool) if filled]
+    apart = len(blocks[-1])
+    if len(blocks) > 1 and apart < _FEWEST <= len(blocks[-2]) and np.isfinite(angle_deg[-apart:]).any():
+        raise InputError(
+            "rows of numbers stand apart below the table",
+            code="circle_table.apart",
+            where=str(path),
+            got=f"an empty row, and below it {blocks[-1][0][:80]}",
+            allowed="readings without an empty row between them",
+            hint="leave rows of means and sums out; take the empty row out where readings follow it",
+        )
 
 
 def _blocks(cells: Sequence[str], angle_deg: Floats, ways: Sequence[Any]) -> list[_Block]:

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from openpyxl import Workbook
 
 from dtwin.acquire._lone_table import open_table
 from dtwin.acquire.importing import understand
@@ -613,3 +614,22 @@ def test_far_steps_of_the_angle_are_no_turns(tmp_path: Path, step_deg: float) ->
 def test_a_side_with_a_number_is_a_direction(head: str, way: str | None) -> None:
     assert way_of_title(["Program", "O0123 (G02 I-150.)"]) == "CW"
     assert way_of(head) == way
+
+
+def test_rows_of_numbers_that_stand_apart_below_the_table_are_no_readings(tmp_path: Path) -> None:
+    angle = np.arange(360.0)
+    text = table("angle [deg],ccw [µm],cw [µm]", angle, error_um(angle, 1.0), error_um(angle, -1.0))
+    workbook = Workbook()
+    for line in [*text.splitlines(), "", "360,12.5,14.1"]:
+        workbook.active.append([float(cell) if line[0].isdigit() else cell for cell in line.split(",")] if line else [])
+    workbook.save(tmp_path / "a.xlsx")
+    for name, below in (("a.csv", "\n360,12.5,14.1\n"), ("b.csv", ",,\n1,2,3\n4,5,6\n"), ("a.xlsx", "")):
+        if below:
+            (tmp_path / name).write_text(text + below, encoding="utf-8")
+        with pytest.raises(InputError, match="stand apart below") as refused:
+            [*open_source(tmp_path / name, TOLD)[1]]
+        assert refused.value.code == "circle_table.apart"
+    # An end of the turn, a block of another direction, words, and empty rows everywhere are as before.
+    assert len(read(tmp_path / "c.csv", text + "360,1.0,2.0\n\n,,\n")[0].samples["t_s"]) == 361
+    assert len(read(tmp_path / "d.csv", text + "\nmean,12.5,14.1\n")[0].samples["t_s"]) == 360
+    assert len(read(tmp_path / "e.csv", text.replace("\n", "\n\n"))[0].samples["t_s"]) == 360
