@@ -19,7 +19,6 @@ from dtwin.lake.store import Lake, RejectedRows
 from dtwin.progress import Progress, silent
 from dtwin.schema import Campaign, Finding, Run
 
-_OF_TEXT = (".txt", ".tsv", ".dat", ".log")
 _BATCH_RUNS = 24
 
 
@@ -126,8 +125,8 @@ def open_source(
         where=str(path),
         got=path.suffix or "no ending",
         allowed="a campaign folder, campaign.toml, .b5r, .csv, .parquet or .xlsx; text or Markdown with a positioning table",
-        hint=(f"dtwin import {path.name} reads tables of other programs; else " if suffix in _OF_TEXT else "")
-        + "save the table as .csv, or name the file in a campaign.toml: it says plane, radius, feed and direction, or axis and "
+        hint=f"dtwin import {path.name} reads tables that other programs wrote as text; else save the table as .csv, "
+        "or name the file in a campaign.toml: it says plane, radius, feed and direction, or axis and "
         "length_unit of a laser's ASCII file (docs/reference/laser-file.md); what to bring of the circularity test of a control is in "
         "docs/how-to/coming-from.md",
     )

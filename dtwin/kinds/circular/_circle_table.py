@@ -31,6 +31,7 @@ from dtwin.acquire.foreign_columns import (
     header_row,
     joined_heads,
     require_one_table,
+    require_told_apart,
 )
 from dtwin.acquire.one_channel import require_one_channel
 from dtwin.acquire.repeated_heads import counts_repeats, require_heads_for_all
@@ -129,6 +130,7 @@ def read_circle_runs(
     form = _form_of(columns, above, body)
     require_as_titled(above, stated, path)
     require_usual_sign(above, path)
+    require_told_apart(columns, body, path)
     _require_one_meaning(columns, path)
     require_ways(columns, body, path)
     require_one_table([column.head for column in columns], body, path)

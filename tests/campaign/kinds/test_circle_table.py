@@ -295,7 +295,7 @@ def test_a_plane_that_is_told_from_its_other_axis_turns_the_angle(tmp_path: Path
 )
 def test_what_is_no_deviation_of_a_run_is_not_read_as_one(tmp_path: Path, heads: str) -> None:
     deviation = error_um(ANGLE, 1.0)
-    with pytest.raises(InputError, match=r"is no deviation|more than one column"):
+    with pytest.raises(InputError, match=r"is no deviation|more than one column|one head and different readings"):
         read(tmp_path / "a.csv", table(heads, ANGLE, deviation, deviation, deviation))
 
 
@@ -633,3 +633,18 @@ def test_rows_of_numbers_that_stand_apart_below_the_table_are_no_readings(tmp_pa
     assert len(read(tmp_path / "c.csv", text + "360,1.0,2.0\n\n,,\n")[0].samples["t_s"]) == 361
     assert len(read(tmp_path / "d.csv", text + "\nmean,12.5,14.1\n")[0].samples["t_s"]) == 360
     assert len(read(tmp_path / "e.csv", text.replace("\n", "\n\n"))[0].samples["t_s"]) == 360
+
+
+def test_circles_side_by_side_are_parted_by_who_knows_which_is_which(tmp_path: Path) -> None:
+    """The refusal spoke of a column that is no deviation."""
+    heads = "angle [deg],ccw [µm],cw [µm],,angle [deg],ccw [µm],cw [µm]"
+    one, other = error_um(ANGLE, 1.0), 2.0 * error_um(ANGLE, 1.0)
+    with pytest.raises(InputError, match="one head and different readings") as refused:
+        read(tmp_path / "a.csv", table(heads, ANGLE, one, one, ANGLE * 0.0, ANGLE, other, other))
+    assert "a file for each" in str(refused.value.hint)
+
+
+def test_a_file_of_another_program_is_sent_to_import(tmp_path: Path) -> None:
+    (tmp_path / "a.lvm").write_text(table("angle [deg],ccw [µm]", ANGLE, error_um(ANGLE, 1.0)), encoding="utf-8")
+    with pytest.raises(InputError, match=r"dtwin import a\.lvm"):
+        open_source(tmp_path / "a.lvm")
