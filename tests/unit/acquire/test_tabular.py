@@ -232,3 +232,10 @@ def test_names_of_other_alphabets_are_not_one() -> None:
     names = [safe_name(text) for text in ("旋盤", "フライス盤", "旋盤1", "Ось")]
     assert len({*names}) == 4
     assert all(map(str.isascii, names))
+
+
+def test_a_lone_line_without_an_end_is_told_as_that(tmp_path: Path) -> None:
+    """numpy writes a vector so; it was called a first line of more than a megabyte."""
+    (tmp_path / "a.csv").write_text("-6.02,-0.22,145.9", encoding="utf-8")
+    with pytest.raises(InputError, match="one line without an end"):
+        kind_of_table(tmp_path / "a.csv")
