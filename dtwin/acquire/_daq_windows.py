@@ -30,6 +30,8 @@ _FILTER_SAMPLES = 40.0
 _CLOSE_S = 3.0
 _CONNECT_EXTRA_S = 15.0
 _LEAST_BLOCKS = 8
+# Between reads; part of the age of what is served.
+_BLOCK_S = 0.01
 
 
 class DaqWindows(Closed):
@@ -37,7 +39,6 @@ class DaqWindows(Closed):
 
     ``contract``: what the model was trained on; rate and channels must be met exactly.
     ``channels``: the contract's channels, in its order.
-    ``block_s``: time between reads; part of the age of what is served.
     ``grpc_target``: as for ``AccelerometerTask``.
     ``timeout_s``: as for ``AccelerometerTask``.
     """
@@ -47,7 +48,6 @@ class DaqWindows(Closed):
         contract: WindowContract,
         channels: Sequence[AccelerometerChannel],
         *,
-        block_s: float = 0.01,
         grpc_target: str | None = None,
         timeout_s: float = 2.0,
     ) -> None:
@@ -60,7 +60,7 @@ class DaqWindows(Closed):
                 allowed=", ".join(contract.channels)[:200],
             )
         self._contract, self._where = contract, grpc_target or "the local driver"
-        blocks_n = int(block_s * contract.rate_hz) + 1
+        blocks_n = int(_BLOCK_S * contract.rate_hz) + 1
         capacity = contract.n_samples + _LEAST_BLOCKS * blocks_n
         size = SampleRing.size(len(names), capacity)
         memory = os.memfd_create("dtwin-daq")
@@ -73,7 +73,7 @@ class DaqWindows(Closed):
         setup = {
             "channels": [asdict(channel) for channel in channels],
             "rate_hz": contract.rate_hz,
-            "block_s": block_s,
+            "block_s": _BLOCK_S,
             "target": grpc_target,
             "timeout_s": timeout_s,
         }

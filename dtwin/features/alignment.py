@@ -39,13 +39,7 @@ class Alignment:
 
 
 def align_envelopes(
-    stream: Floats,
-    stream_rate_hz: float,
-    reference: Floats,
-    reference_rate_hz: float,
-    *,
-    max_lag_s: float,
-    around_s: float = 0.0,
+    stream: Floats, stream_rate_hz: float, reference: Floats, reference_rate_hz: float, *, max_lag_s: float
 ) -> Alignment:
     """Align two records by normalised cross-correlation with a sub-sample peak.
 
@@ -54,8 +48,7 @@ def align_envelopes(
         reference: The same of the other stream. Shape (m,).
         stream_rate_hz: Sample rate.
         reference_rate_hz: Sample rate; both are brought to the higher one.
-        max_lag_s: How far from ``around_s`` the lag is searched.
-        around_s: Middle of the lags that are searched.
+        max_lag_s: How far from 0 the lag is searched.
 
     Raises:
         InputError: When no lag leaves enough overlap, or a record is constant.
@@ -64,8 +57,8 @@ def align_envelopes(
     a = _resampled(stream, stream_rate_hz, rate_hz)
     b = _resampled(reference, reference_rate_hz, rate_hz)
     needed = int(_LEAST_SHARED * min(len(a), len(b)))
-    low = round((around_s - max_lag_s) * rate_hz)
-    lags = np.arange(low, round((around_s + max_lag_s) * rate_hz) + 1)
+    most = round(max_lag_s * rate_hz)
+    lags = np.arange(-most, most + 1)
     lags = lags[np.minimum(len(b), len(a) + lags) - np.maximum(0, lags) >= max(needed, 3)]
     if not len(lags):
         raise InputError(

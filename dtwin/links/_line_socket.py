@@ -15,6 +15,8 @@ from dtwin.links.opened import OpenAndClose
 
 _CONNECT_S = 2.0
 _CHUNK = 1 << 16
+# Silence after which the other end counts as dead, as behind a half-open connection.
+_LOST_AFTER_S = 2.0
 
 
 class LineSocket:
@@ -116,12 +118,11 @@ class LineSocket:
 class StateLines(OpenAndClose):
     """States over one connection.
 
-    ``lost_after_s``: silence after which the other end counts as dead, as behind a half-open connection.
     ``received_s``: monotonic time of the newest state.
     """
 
-    def __init__(self, line: LineSocket, lost_after_s: float) -> None:
-        self._line, self._lost_after_s = line, lost_after_s
+    def __init__(self, line: LineSocket) -> None:
+        self._line, self._lost_after_s = line, _LOST_AFTER_S
         self._state = layout.empty_state()
         self._state[layout.SPEED_SCALING] = 1.0
         self.received_s = self._heard_s = math.nan

@@ -111,7 +111,6 @@ class AnalogueOutput(OpenAndClose):
     ``output``: the 16-bit converter, or pulse widths of eight bits, whose steps are 0.98 um.
     ``watchdog_ms``: silence after which the board goes neutral by itself, 2 to 1000.
     ``in_flight``: requests that may be unanswered before the next one waits.
-    ``baud``: bits per second.
     ``timeout_s``: longest silence of the board, unless its watchdog is longer.
     ``sent``, ``answered``, ``clamped``: corrections sent and answered; values that were beyond the travel.
     ``in_force``: number of the newest correction that the board has confirmed; 0 after it went neutral.
@@ -125,7 +124,6 @@ class AnalogueOutput(OpenAndClose):
         output: _Output = "dac",
         watchdog_ms: int = 20,
         in_flight: int = 4,
-        baud: int = _BAUD,
         timeout_s: float = 0.25,
     ) -> None:
         if len(calibration) != len(AXES) or not 2 <= watchdog_ms <= 1000:
@@ -140,7 +138,7 @@ class AnalogueOutput(OpenAndClose):
         self.watchdog_ms = watchdog_ms
         # A board that is left unfed goes neutral after the watchdog: until then silence is no fault.
         patience_s = max(timeout_s, watchdog_ms / 1000.0)
-        self.link = SerialLink(port, _ANSWER.size, baud=baud, timeout_s=patience_s)
+        self.link = SerialLink(port, _ANSWER.size, baud=_BAUD, timeout_s=patience_s)
         self.sent = self.answered = self.clamped = self.in_force = 0
         self._in_flight = in_flight
         self._waiting: deque[tuple[int, _Codes, int]] = deque()

@@ -67,7 +67,6 @@ class AxisLink(StateLines):
         channels: Signals that it must sample, at one rate.
         samples: Takes each sample of the channels, shape (channels,).
         writes: Whether corrections may be sent; on the machine clock zeros go out without.
-        lost_after_s: Silence after which the control counts as dead.
 
     Attributes:
         greeting: What the control said when the link was opened.
@@ -87,9 +86,8 @@ class AxisLink(StateLines):
         channels_hz: float = 0.0,
         samples: _Samples | None = None,
         writes: bool = True,
-        lost_after_s: float = 2.0,
     ) -> None:
-        super().__init__(LineSocket(address, "axis link", LONGEST_LINE), lost_after_s)
+        super().__init__(LineSocket(address, "axis link", LONGEST_LINE))
         self.host = self._line.host
         self._live, self._axes, self._writes = live, tuple(axes), writes
         self._channels, self._channels_hz, self._samples = tuple(channels), channels_hz, samples

@@ -31,15 +31,10 @@ _LONGEST_LINE = 8192
 
 
 class StateFeed(StateLines):
-    """The newest state that a bridge sends.
+    """The newest state that a bridge sends; ``address``: ``HOST:PORT`` of the bridge."""
 
-    Args:
-        address: ``HOST:PORT`` of the bridge.
-        lost_after_s: Silence after which the feed counts as dead, as behind a half-open connection.
-    """
-
-    def __init__(self, address: str, *, lost_after_s: float = 2.0) -> None:
-        super().__init__(LineSocket(address, "state feed", _LONGEST_LINE), lost_after_s)
+    def __init__(self, address: str) -> None:
+        super().__init__(LineSocket(address, "state feed", _LONGEST_LINE))
 
     def _take(self, lines: list[bytes]) -> bool:
         """Keep the last line that is a state; tell whether there was one."""

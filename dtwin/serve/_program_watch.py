@@ -35,14 +35,13 @@ def _condition_of(state: Floats) -> str:
 class ProgramWatch:
     """Holds the correction back while the program stands, and notes why.
 
-    ``settle_s``: as ``_SETTLE_S``; a pause needs none, its resumption is the operator's own wish.
     ``condition``: as :func:`_condition_of`.
     """
 
-    def __init__(self, note: Note = no_journal, settle_s: float = _SETTLE_S) -> None:
+    def __init__(self, note: Note = no_journal) -> None:
         self.condition = ""
         self.since_s = math.nan
-        self._note, self._settle_s = note, settle_s
+        self._note = note
         self._free_at_s = -math.inf
         self._reason, self._noted_s = "", -math.inf
         self._bucket = Bucket()
@@ -72,7 +71,7 @@ class ProgramWatch:
     def _change(self, condition: str, now_s: float) -> None:
         before, self.condition, self.since_s = self.condition, condition, now_s
         if before.endswith("_stop") or before == "stopped":
-            self._free_at_s = now_s + self._settle_s
+            self._free_at_s = now_s + _SETTLE_S
         if before or condition != "running":
             self._note("program", was=before or "unknown", now=condition)
 

@@ -177,22 +177,18 @@ class Twins(TwinShelf):
         give_back_memory()
         return found
 
-    def add(
-        self, name: str, effect: str, axis: str = "", *, shape: Mapping[str, float] | None = None, refine: bool = True
-    ) -> Twin:
+    def add(self, name: str, effect: str, axis: str = "") -> Twin:
         """Add an effect, refit, and store the new version.
 
         Args:
             effect: Name of the effect, or ``name:axis``.
             axis: One axis; all on which it can act without.
-            shape: Where its shape parameters start.
-            refine: Search the shapes of all effects; otherwise they stay as they are.
 
         Raises:
             InputError: When the twin has it already.
         """
         twin = self.newest(name)
-        return self._added(twin, self._load(twin.campaigns), effect, axis, shape, refine=refine)
+        return self._added(twin, self._load(twin.campaigns), effect, axis)
 
     def _added(
         self,
@@ -200,9 +196,9 @@ class Twins(TwinShelf):
         loaded: Sequence[Loaded],
         effect: str,
         axis: str,
-        shape: Mapping[str, float] | None,
+        shape: Mapping[str, float] | None = None,
         *,
-        refine: bool,
+        refine: bool = True,
         ahead: bool = True,
     ) -> Twin:
         new = [replace(term, shape={**term.shape, **(shape or {})}) for term in self._terms([effect], loaded, axis)]
