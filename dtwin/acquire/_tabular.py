@@ -204,7 +204,9 @@ def _malformed(path: Path, error: Exception) -> InputError:
         )
     uneven = _UNEVEN.search(str(error))
     # What is read at once is a megabyte.
-    got = "one line without an end, or of more than a megabyte" if "infer number of columns" in str(error) else str(error)
+    got = (
+        "one line without an end, or of more than a megabyte" if "infer number of columns" in str(error) else str(error)
+    )
     if uneven:
         row, heads, cells, text = uneven.groups()
         got = f"row {row} has {cells} cell{'s' * (cells != '1')}, the first row {heads}: {text.strip()}"
