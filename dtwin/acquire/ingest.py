@@ -72,7 +72,7 @@ def ingest(path: Path, lake: Lake, progress: Progress = silent, told: Mapping[st
         n_rejected += sum(len(part.rows) for part in rejected)
         judged += map(without_samples, runs)
         progress(done, total, batch[-1].meta.run_id if batch else "")
-    findings += [("", finding) for finding in judge_campaign(judged)]
+    findings += [("", finding) for finding in (*_alike(campaign.machine, others), *judge_campaign(judged))]
     return IngestReport(campaign.name, tuple(added), tuple(unchanged), tuple(findings), n_rejected, versions)
 
 
@@ -160,6 +160,14 @@ def _of_its_machine(run: Run, machine: str, others: Collection[str]) -> Run:
         return run
     said = f"the file names machine {named}, of which the lake has tests, and is brought in as {machine}: is it in the wrong folder? Then leave the run out, and bring it in as {named}"
     return replace(run, findings=(*run.findings, Finding("run.other_machine", "warning", said)))
+
+
+def _alike(machine: str, others: Collection[str]) -> Iterator[Finding]:
+    """Yield a warning when a machine of the lake is called as this one but for capitals: its history would be of two."""
+    for other in sorted(others):
+        if other.casefold() == machine.casefold():
+            said = f"{machine} and {other}, of which the lake has tests, count as two machines: if they are one, dtwin amend states it anew, with --set machine={other}"
+            yield Finding("campaign.machine_alike", "warning", said)
 
 
 def worst(findings: Sequence[tuple[str, Finding]]) -> str:

@@ -280,3 +280,8 @@ def test_a_file_of_another_machine_of_the_lake_is_told(real_recording: Path, tmp
         (folder / "campaign.toml").write_text(head + '[[run]]\nid = "a"\nfile = "a.b5r"\n', "utf-8")
         told.append("run.other_machine" in {finding.code for _, finding in ingest(folder, lake).findings})
     assert told == [False, True]
+    (folder / "campaign.toml").write_text(
+        head.replace("mill-5", "Mill-5") + '[[run]]\nid = "a"\nfile = "a.b5r"\n', "utf-8"
+    )
+    (alike,) = [f for run, f in ingest(folder, lake).findings if not run and f.code == "campaign.machine_alike"]
+    assert "--set machine=mill-5" in alike.message
