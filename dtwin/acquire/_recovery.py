@@ -142,7 +142,7 @@ def signal_findings(path: Path) -> tuple[Finding, ...]:
 def _readable(path: Path) -> Iterator[None]:
     try:
         yield
-    except (OSError, pa.ArrowException, ValueError, TypeError, AttributeError) as error:
+    except (OSError, pa.ArrowException, ValueError, TypeError, AttributeError, RecursionError) as error:
         raise StoreError(
             "a signal file is missing or damaged", code="store.damaged", where=str(path), got=str(error)[:200]
         ) from error
@@ -178,7 +178,7 @@ def _open(path: Path) -> tuple[pa.ipc.RecordBatchStreamReader, dict[str, Any]]:
         if header_checksum(label["head"], list(stream.schema)) != label["crc"]:
             raise ValueError("the checksum of the header is wrong")
         return stream, json.loads(label["head"])
-    except (pa.ArrowException, OSError, KeyError, TypeError, ValueError) as error:
+    except (pa.ArrowException, OSError, KeyError, TypeError, ValueError, RecursionError) as error:
         raise StoreError(
             "the header of the recording is damaged",
             code="recording.damaged",
@@ -220,7 +220,7 @@ def _blocks(stream: pa.ipc.RecordBatchStreamReader) -> Iterator[tuple[pa.RecordB
             if checksum(label["place"], arrays) != label["crc"]:
                 return
             place = json.loads(label["place"])
-        except (StopIteration, pa.ArrowException, OSError, ValueError, KeyError, TypeError):
+        except (StopIteration, pa.ArrowException, OSError, ValueError, KeyError, TypeError, RecursionError):
             return
         yield batch, place
 

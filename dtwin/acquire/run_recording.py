@@ -312,7 +312,7 @@ def _read_intent(path: Path) -> dict[str, Any]:
     try:
         intent: dict[str, Any] = {"head": {}} | json.loads(path.read_text(encoding="utf-8"))
         return {key: intent[key] for key in ("run", "campaign", "machine", "reference", "started", "stated", "head")}
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         raise StoreError(
             "what a recording was meant for cannot be read",
             code="record.intent",

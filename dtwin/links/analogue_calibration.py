@@ -118,7 +118,7 @@ def load(path: Path) -> tuple[AxisCalibration, AxisCalibration, AxisCalibration]
         if document["format"] != "dtwin.analogue.1":
             raise _bad(path, "format", str(document["format"])[:40], "dtwin.analogue.1")
         told = [(axis, document["axes"][axis]["um_per_v"], document["axes"][axis]["neutral_v"]) for axis in AXES]
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         raise _bad(path, "file", str(error)[:120], "what dtwin analogue calibrate writes") from error
     for axis, *two in told:
         if not all(map(is_number, two)) or (wrong := _no_input(float(two[0]), float(two[1]))):

@@ -154,7 +154,7 @@ def _require_server(uri: str) -> None:
         got = within(_ANSWER_S, lambda: _said_by(uri))
     except TimeoutError:
         got = f"no whole answer within {_ANSWER_S} s"
-    except ValueError:
+    except (ValueError, RecursionError):
         got = "an answer that is not MLflow's"
     except (MlflowException, OSError) as error:
         got = str(error).split("\n")[0].rpartition("with exception ")[2]

@@ -237,7 +237,7 @@ class Registry:
             ) from error
         try:
             return json.loads(content)
-        except ValueError as error:
+        except (ValueError, RecursionError) as error:
             raise StoreError("a file in the registry is damaged", code="model.artifact", where=where) from error
 
     def files(self, version: RegisteredVersion, folder: str) -> list[str]:

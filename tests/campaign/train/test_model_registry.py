@@ -69,6 +69,14 @@ def test_tags_that_somebody_changed_in_mlflow_end_in_no_traceback(registry: Regi
         _source(registry.home, cast(Bundle, None), "candidate", version, None)
 
 
+def test_a_file_that_is_nested_without_end_is_damaged(registry: Registry) -> None:
+    """A bundle of somebody's hand ended a promotion in a traceback."""
+    with registry.open_run("deep", {}) as run:
+        registry.client.log_text(run, "[" * 100_000, "bundle/bundle.json")
+    with pytest.raises(StoreError, match="a file in the registry is damaged"):
+        registry.bundle(RegisteredVersion("m001", "1", run, (), {}, ""))
+
+
 def test_an_experiment_that_was_deleted_in_mlflow_is_said_and_can_be_restored(registry: Registry) -> None:
     number = registry.experiment()
     registry.client.delete_experiment(number)
@@ -145,8 +153,9 @@ _LOGIN = b"Content-Length: 5\r\n\r\nlogin"
         ("200 OK", b"Content-Length: 999\r\n\r\n{", b" ", "no whole answer within 0.4 s"),
         ("200 OK", b"X: ", b"y", "no whole answer within 0.4 s"),
         ("200 OK", b"\r\n{", b" " * 500_000, "an answer of more than 1000000 bytes"),
+        ("200 OK", b"\r\n" + b"[" * 100_000, b"", "an answer that is not MLflow's"),
     ],
-    ids=["404", "login page", "redirect", "drips", "heads drip", "endless"],
+    ids=["404", "login page", "redirect", "drips", "heads drip", "endless", "deep"],
 )
 def test_a_server_that_is_no_registry_is_told_at_once(
     monkeypatch: pytest.MonkeyPatch, status: str, rest: bytes, again: bytes, got: str
