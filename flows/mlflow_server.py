@@ -13,6 +13,7 @@ import json
 import os
 import re
 import secrets
+import sys
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING
 
@@ -25,6 +26,8 @@ from starlette.responses import HTMLResponse
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from dtwin.config import home
+from dtwin.errors import DtwinError
+from dtwin.faults import fault_of
 from dtwin.own_address import names_this_computer
 from flows.own_pages import ENTER, HOST, asks_from_elsewhere, refuse
 from flows.reach import mlflow_token
@@ -131,7 +134,14 @@ def main() -> None:
     from dtwin.train.registry import Registry
 
     # First: it makes the tables in one step, and a server that was stopped while it made them could never be started again.
-    registry = Registry(where)
+    try:
+        registry = Registry(where)
+    except Exception as error:
+        fault = error if isinstance(error, DtwinError) else fault_of(error)
+        if fault is None:
+            raise
+        # dtwin up tells the end of the log.
+        sys.exit(fault.render())
     root = "mlflow-artifacts:/"
     # As `mlflow server` tells its workers.
     os.environ |= {

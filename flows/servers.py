@@ -10,6 +10,7 @@ import contextlib
 import ctypes
 import json
 import os
+import re
 import signal
 import socket
 import subprocess
@@ -30,6 +31,8 @@ from flows.reach import SERVERS_FILE, answers, auth_string, mlflow_token, runnin
 _HEALTHY_S, _STOP_S, _POLL_S = 120.0, 20.0, 0.25
 _PR_SET_PDEATHSIG = 1
 _TAIL = 400
+# Below it libraries print what they did: pages of SQL.
+_ERROR = re.compile(r"^(error\[|[\w.]*(Error|Exception)\b)", re.M)
 
 
 @dataclass(frozen=True)
@@ -106,7 +109,9 @@ class Child:
     def _tail(self) -> str:
         with self.log.open("rb") as file:
             file.seek(self.begins)
-            return file.read().decode(errors="replace").strip()[-_TAIL:]
+            said = file.read().decode(errors="replace").strip()
+        named = [found.start() for found in _ERROR.finditer(said)]
+        return said[named[-1] :][:_TAIL] if named else said[-_TAIL:]
 
 
 class Servers:

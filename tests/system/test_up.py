@@ -252,6 +252,11 @@ def test_a_server_that_dies_is_named_with_the_end_of_its_log(tmp_path: Path) -> 
         child.require_alive()
     assert caught.value.got == "exit 3: the database is locked"
     assert caught.value.where == str(log)
+    script = "import sys; sys.exit('Traceback\\nsqlite3.OperationalError: disk is full\\n' + '[SQL: x]\\n' * 99)"
+    child = Child("Prefect", [sys.executable, "-c", script], os.environ, log)
+    child.process.wait(300)
+    with pytest.raises(StoreError, match=r"exit 1: sqlite3\.OperationalError: disk is full"):
+        child.require_alive()
 
 
 def test_a_child_that_will_not_end_is_ended_with_what_it_started(
@@ -361,3 +366,6 @@ def test_mlflow_finds_its_tables_whole_and_makes_none_itself(tmp_path: Path, mon
     with pytest.raises(KeyboardInterrupt):
         mlflow_server.main()
     assert whole == [True]
+    database.write_bytes(b"no database")
+    with pytest.raises(SystemExit, match=r"registry\.damaged"):
+        mlflow_server.main()
