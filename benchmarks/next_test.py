@@ -1,7 +1,7 @@
 """Which test next: how soon are the faults of a machine told, by proposals, by chance, and by a fixed full design?
 
-Drawn machines with six faults on three axes. Circles come from the virtual mill (mechanisms, noise 0.1 µm), positions from
-formulas of their own (``tests/laser_axis.py``: lead and lost motion, noise 0.15 µm, datum 0.3 µm). Every test is diagnosed from
+Drawn machines with six faults on three axes. Circles come from the virtual mill (mechanisms, noise 0.1 µm; in
+upright planes the arcs of their programs), positions from formulas of their own (``tests/laser_axis.py``: lead and lost motion, noise 0.15 µm, datum 0.3 µm). Every test is diagnosed from
 nothing, and the tests that were made are compared by ``dtwin.physics.joint``. A fault is told when one test names it alone, or
 another test settles the group that it is in, or its size follows from several tests. What a full design of all tests tells in the end is the mark; counted are the minutes,
 mounting included, until a policy has told the same. ``proposed`` takes, after each test, the one with the most bits per minute;
@@ -105,7 +105,8 @@ class Machine:
             for t in planned.plan.tests
             for way in planned.plan.directions
         ]
-        return observe(mill.campaign(), mill.measure(tests))
+        obs, mask = observe(mill.campaign(), mill.measure(tests)), _foreseen(planned).mask
+        return replace(obs, mask=mask, y_um=np.where(mask, obs.y_um, 0.0))
 
     def _sweeps(self, planned: Planned, number: int) -> Observations:
         rng = np.random.default_rng([7, self.number, number])

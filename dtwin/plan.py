@@ -76,6 +76,12 @@ def arc_deg(plane: Plane) -> float:
     return _FULL_TURNS_DEG if plane == "XY" else _HALF_TURN_DEG
 
 
+def ends_deg(plane: Plane) -> tuple[float, float]:
+    """Return the first and the last angle of an upright arc, counter-clockwise; its middle is where Z is largest: below, a spindle meets the table."""
+    top_deg, half_deg = (90.0 if plane == "YZ" else 0.0), arc_deg(plane) / 2.0
+    return top_deg - half_deg, top_deg + half_deg
+
+
 def _motion_s(test: PlannedTest, n_directions: int = 2) -> float:
     """Estimate the time of pure motion of a test."""
     length_mm = math.radians(arc_deg(test.plane)) * test.radius_mm

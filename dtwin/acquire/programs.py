@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 
-from dtwin.plan import PlannedTest, arc_deg
-from dtwin.schema import Direction, Plane
+from dtwin.plan import PlannedTest, arc_deg, ends_deg
+from dtwin.schema import Direction
 
 _FEED_IN_MM = 1.5
 # Of a UR: the centre of the circles in the base frame, and the length of the tool along the flange's z.
@@ -43,15 +43,9 @@ def gcode(test: PlannedTest, directions: tuple[Direction, ...] = ("CCW", "CW")) 
     return "\n".join([*lines, "M30", "%", ""])
 
 
-def _ends_deg(plane: Plane) -> tuple[float, float]:
-    """Return the first and the last angle of an upright arc, counter-clockwise; its middle is where Z is largest: below, a spindle meets the table."""
-    top_deg, half_deg = (90.0 if plane == "YZ" else 0.0), arc_deg(plane) / 2.0
-    return top_deg - half_deg, top_deg + half_deg
-
-
 def _half_turn(test: PlannedTest, direction: Direction, code: str) -> list[str]:
     _, a, b, i, j = _WORD[test.plane]
-    begin, end = _ends_deg(test.plane)[:: 1 if direction == "CCW" else -1]
+    begin, end = ends_deg(test.plane)[:: 1 if direction == "CCW" else -1]
 
     def point(angle_deg: float, radius: float) -> tuple[float, float]:
         angle = math.radians(angle_deg)
@@ -88,7 +82,7 @@ def urscript(test: PlannedTest, directions: tuple[Direction, ...] = ("CCW", "CW"
     lines = [f"def {test.test_id}():", f"  set_tcp(p[0,0,{_UR_TCP_MM / 1000.0:z.4f},0,0,0])"]
     for direction in directions:
         sign = 1 if direction == "CCW" else -1
-        begin = 0.0 if test.plane == "XY" else _ends_deg(test.plane)[0 if sign > 0 else 1]
+        begin = 0.0 if test.plane == "XY" else ends_deg(test.plane)[0 if sign > 0 else 1]
         arcs = [180.0] * 4 if test.plane == "XY" else [arc_deg(test.plane)]
         lines += [
             f"  movel({pose(begin, test.radius_mm + _FEED_IN_MM)},1.2,0.25)",

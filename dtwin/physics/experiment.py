@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import scipy
+from numpy.typing import NDArray
 
 from dtwin.errors import InputError
 from dtwin.physics.candidates import Candidates, applicable
@@ -19,8 +20,8 @@ from dtwin.physics.gridding import CIRCLE, Condition
 from dtwin.physics.observations import Observations
 from dtwin.physics.problem import Term, least_visible, set_up, unweighted, weighted_like
 from dtwin.physics.whitening import PureError
-from dtwin.plan import Plan
-from dtwin.schema import PLANES, Campaign, Direction, Floats, RunMeta
+from dtwin.plan import Plan, ends_deg
+from dtwin.schema import PLANES, Campaign, Direction, Floats, Plane, RunMeta
 from dtwin.statistics import f_quantile, f_tail
 
 REPEATS = 3
@@ -191,12 +192,8 @@ def _rank(proposal: Proposal) -> tuple[bool, bool, float, float]:
     return useless, late, first if not useless else -max(proposal.powers, default=0.0), cost
 
 
-def planned_observations(plan: Plan, columns: Mapping[str, Floats] | None = None) -> Observations:
-    """Return the runs of a plan as if they had been measured, with nothing in them.
-
-    Args:
-        columns: Logged columns to assume; ``time_h`` follows from the plan. Shape (runs,) each.
-    """
+def planned_observations(plan: Plan) -> Observations:
+    """Return the runs of a plan as if they had been measured, with nothing in them: in upright planes over the arc of their programs."""
     rows = [
         (test, direction, Condition(test.plane, test.radius_mm, test.feed_mm_min, direction))
         for test in plan.tests
@@ -204,7 +201,6 @@ def planned_observations(plan: Plan, columns: Mapping[str, Floats] | None = None
     ]
     seconds = np.array([c.seconds for _, _, c in rows])
     time_h = np.concatenate([[0.0], np.cumsum(seconds)[:-1]]) / 3600.0
-    logged = {"time_h": time_h, **(columns or {})}
     metas = tuple(
         RunMeta(
             f"{test.test_id}-{direction.lower()}",
@@ -217,18 +213,22 @@ def planned_observations(plan: Plan, columns: Mapping[str, Floats] | None = None
         )
         for test, direction, _ in rows
     )
-    per_row = tuple({k: float(v[i]) for k, v in logged.items()} for i in range(len(rows)))
-    campaign = Campaign(plan.name, plan.machine)
-    return _empty(campaign, metas, [c for _, _, c in rows], per_row)
+    logged = tuple({"time_h": float(hours)} for hours in time_h)
+    obs = _empty(Campaign(plan.name, plan.machine), metas, [c for _, _, c in rows], logged)
+    return replace(obs, mask=np.stack([_programmed(c.plane) for _, _, c in rows]))
+
+
+def _programmed(plane: Plane) -> NDArray[np.bool_]:
+    """Return which angles of a circle a program runs over: shape (points,)."""
+    begin, end = ends_deg(plane)
+    return (CIRCLE.points - begin) % 360.0 <= end - begin
 
 
 def detectable(obs: Observations, library: Mapping[str, Effect], *, noise_um: float) -> list[Detectable]:
     """Return the size of each effect that a design would detect with a power of 80 %.
 
-    Args:
-        obs: Runs; what was measured does not matter.
-        noise_um: RMS of one run about the mean of its condition, assumed alike at all harmonics: low harmonics usually
-            repeat less well, so the truth is somewhat worse.
+    What was measured in the runs does not matter. ``noise_um``: RMS of one run about the mean of its condition, assumed
+    alike at all harmonics: low harmonics usually repeat less well, so the truth is somewhat worse.
     """
     problem = unweighted(obs, [])
     tried, _ = applicable(library, obs, [])
@@ -357,7 +357,7 @@ def _grown(obs: Observations, conditions: Sequence[Condition]) -> Observations:
     for condition in conditions:
         seen = [mask for mask, cell in zip(obs.mask, cells, strict=False) if cell.plane == condition.plane]
         for repeat in range(REPEATS):
-            masks.append(np.any(seen, axis=0) if seen else np.ones(CIRCLE.n, dtype=bool))
+            masks.append(np.any(seen, axis=0) if seen else _programmed(condition.plane))
             setup = setups.get(condition.mounted, "new")
             metas.append(
                 RunMeta(

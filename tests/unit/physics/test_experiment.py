@@ -9,10 +9,11 @@ from one_cobot import write_circles
 
 from dtwin.acquire.campaign_folder import open_campaign
 from dtwin.physics.diagnosis import Diagnosis, Suspect
-from dtwin.physics.experiment import REPEATS, _grown, next_experiment
+from dtwin.physics.experiment import REPEATS, _grown, next_experiment, planned_observations
 from dtwin.physics.gridding import Condition
 from dtwin.physics.library import Library
 from dtwin.physics.observations import observe
+from dtwin.plan import training_plan
 from dtwin.schema import Campaign, Run, RunMeta
 
 
@@ -38,3 +39,14 @@ def test_where_arcs_were_measured_the_next_circles_of_that_plane_are_arcs() -> N
     grown = _grown(obs, [Condition("YZ", 100.0, 4000.0, "CCW"), Condition("XY", 100.0, 4000.0, "CCW")])
     counts = [int(mask.sum()) for mask in grown.mask]
     assert counts == [220, *[220] * REPEATS, *[360] * REPEATS]
+
+
+def test_planned_upright_circles_are_the_arcs_of_their_programs() -> None:
+    """A laser was proposed late, and upright planes early: their circles were taken for whole ones."""
+    obs = planned_observations(training_plan(radii_mm=[100.0], planes=["XY", "ZX"], repeats=1))
+    assert {obs.conditions[i].plane: int(mask.sum()) for i, mask in zip(obs.condition_of, obs.mask, strict=True)} == {
+        "XY": 360,
+        "ZX": 190,
+    }
+    grown = _grown(obs, [Condition("YZ", 100.0, 4000.0, "CCW")])
+    assert np.flatnonzero(~grown.mask[-1]).tolist() == list(range(185, 355))
