@@ -32,7 +32,6 @@ __all__ = [
     "clear_trial",
     "machine_folder",
     "on_trial",
-    "only_machine",
     "read_machine",
     "renew_proof",
     "resolve",
@@ -181,7 +180,7 @@ def forget_replaced(folder: Path) -> None:
             kept.unlink(missing_ok=True)
 
 
-def only_machine(home: Home, model: str = "latest") -> str:
+def _only_machine(home: Home, model: str = "latest") -> str:
     """Return the machine that has a pointer, when there is exactly one.
 
     Args:
@@ -229,7 +228,7 @@ def resolve(model: str, machine: str | None, home: Home, *, harmless: bool = Fal
     if model.endswith(".json"):
         resolved = _resolve_file(Path(model), machine, home)
     elif model in _POINTERS:
-        resolved = _follow(model, only_machine(home, model) if machine is None else machine, home)
+        resolved = _follow(model, _only_machine(home, model) if machine is None else machine, home)
     else:
         raise InputError(
             "unknown model",

@@ -22,9 +22,9 @@ from dtwin.pipeline.home_check import check_home
 from dtwin.pipeline.machine_history import champion_of
 from dtwin.serve.bundle_file import load_bundle, save_bundle, write_json
 from dtwin.serve.pointer import (
+    _only_machine,
     clear_trial,
     machine_folder,
-    only_machine,
     proven_states,
     read_machine,
     resolve,
@@ -86,7 +86,7 @@ def test_a_bundle_of_a_newer_dtwin_is_told_as_such(home: Home, monkeypatch: pyte
 
 def test_machine_may_be_left_out_when_there_is_one(home: Home) -> None:
     with pytest.raises(InputError, match="no model has been promoted"):
-        only_machine(home)
+        _only_machine(home)
     promoted(home)
     assert resolve("latest", None, home).version == 3
     promoted(home, machine="cobot-b")
