@@ -174,8 +174,9 @@ class Machine:
         """Return the test with the most bits per minute."""
         empty = [_foreseen(self.planned[n]) for n in left]
         noise = {p.kind: p.noise_um for p in self.planned}
+        measured = [self.test(n).obs for n in made]
         known = [
-            Made(self.test(n).obs, left) for n, left in zip(made, unclear(self.groups(made), LIBRARY), strict=True)
+            Made(obs, left) for obs, left in zip(measured, unclear(self.groups(made), measured, LIBRARY), strict=True)
         ]
         knowledge = Knowledge(known, empty, LIBRARY, noise)
         return max(left, key=lambda n: knowledge.worth(left.index(n)).bits / self.minutes[n])

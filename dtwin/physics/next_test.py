@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from dtwin.physics.candidates import applicable
-from dtwin.physics.effect import Effect
+from dtwin.physics.effect import Effect, Instance
 from dtwin.physics.observations import Observations
 from dtwin.physics.problem import Problem, set_up, unweighted, weighted_like
 from dtwin.physics.state import AXES_OF
@@ -231,24 +231,33 @@ class _Seen:
         return float(np.sqrt(((self.columns[label] * sizes) ** 2).sum(axis=1).mean()))
 
 
-def unclear(tests: Sequence[Sequence[Sequence[str]]], library: Mapping[str, Effect]) -> list[list[Sequence[str]]]:
+def unclear(
+    tests: Sequence[Sequence[Sequence[str]]], measured: Sequence[Observations], library: Mapping[str, Effect]
+) -> list[list[Sequence[str]]]:
     """Return, of the groups that each test found, those that leave open what it is.
 
-    Of a group of several effects no test names a member alone. A difference of two axes, as a scale mismatch, leaves open
-    which of them it is, until a test names the cause on one of them alone.
+    Of a group of several effects no test names a member alone that sees as much of it: a bow towards Y is not one towards
+    Z. A difference of two axes, as a scale mismatch, leaves open which of them it is, until a test names the cause on one of
+    them alone.
     """
-    alone = {group[0] for groups in tests for group in groups if len(group) == 1}
-    split = {label: label.partition(" ") for label in alone}
+    alone = [(g[0], obs) for groups, obs in zip(tests, measured, strict=True) for g in groups if len(g) == 1]
+    split = {label: label.partition(" ") for label, _ in alone}
     told = {(library[name].cause, axis) for name, _, axis in split.values()}
 
-    def is_open(group: Sequence[str]) -> bool:
+    def acting(label: str, obs: Observations) -> set[str]:
+        name, _, where = label.partition(" ")
+        effect = library[name]
+        columns = obs.regressors(Instance(effect, where), effect.start_shape)
+        return {p.name for p, acts in zip(effect.parameters, columns.any(axis=(0, 1)), strict=True) if acts}
+
+    def is_open(group: Sequence[str], obs: Observations) -> bool:
         if len(group) > 1:
-            return not alone & set(group)
+            return not any(label in group and acting(label, obs) <= acting(label, other) for label, other in alone)
         name, _, where = split[group[0]]
         cause = library[name].cause
         return bool(cause) and where in AXES_OF and not any((cause, axis) in told for axis in AXES_OF[where])
 
-    return [[group for group in groups if is_open(group)] for groups in tests]
+    return [[group for group in groups if is_open(group, obs)] for groups, obs in zip(tests, measured, strict=True)]
 
 
 def _spread(information: Floats) -> Floats:

@@ -53,7 +53,8 @@ def machine_next(
         compared(home, machine, chosen, known, progress) if chosen else {"tests": [], "settled": [], "passed_over": {}}
     )
     counted, groups = [test["campaign"] for test in together["tests"]], _groups(together)
-    measured = [Made(load(home, name).obs, left) for name, left in zip(counted, unclear(groups, known), strict=True)]
+    every = [load(home, name).obs for name in counted]
+    measured = [Made(obs, left) for obs, left in zip(every, unclear(groups, every, known), strict=True)]
     plans = _proposed(record, allowed, [test.obs for test in measured])
     within = [(p, document) for p, document in plans if minutes is None or _minutes(p) <= minutes]
     if not plans:

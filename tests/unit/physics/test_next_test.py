@@ -103,14 +103,21 @@ def test_what_was_found_and_is_not_clear_counts_in_full_and_as_large_as_it_may_b
 
 def test_a_group_is_clear_when_another_test_names_a_member_alone() -> None:
     tests = [[["backlash X", "friction X"], ["squareness YZ"]], [["backlash X"]], [["squareness XY", "friction X"]]]
-    assert unclear(tests, LIBRARY) == [[], [], [["squareness XY", "friction X"]]]
+    seen = [circles(), circles("ZX"), circles()]
+    assert unclear(tests, seen, LIBRARY) == [[], [], [["squareness XY", "friction X"]]]
+
+
+def test_a_bow_in_another_plane_leaves_open_what_three_lobes_are() -> None:
+    lobes, bow = ["instrument_artefact", "straightness X", "straightness Y"], ["straightness X"]
+    assert unclear([[lobes], [bow]], [circles(), circles("ZX")], LIBRARY) == [[lobes], []]
+    assert unclear([[lobes], [bow]], [circles(), circles()], LIBRARY) == [[], []]
 
 
 def test_a_difference_of_two_axes_is_open_until_the_cause_is_told_of_one_of_them() -> None:
     differs = [[["scale_mismatch ZX"]], [["scale_mismatch XY"]]]
-    assert unclear([*differs, [["backlash X"]]], LIBRARY) == [*differs, []]
-    assert unclear([*differs, [["lead_error Y"]]], LIBRARY) == [differs[0], [], []]
     obs = [made(circles("ZX")), made(circles("XY"))]
+    assert unclear([*differs, [["backlash X"]]], [*obs, sweeps("X")], LIBRARY) == [*differs, []]
+    assert unclear([*differs, [["lead_error Y"]]], [*obs, sweeps("Y")], LIBRARY) == [differs[0], [], []]
     measured = [Made(one, groups) for one, groups in zip(obs, differs, strict=True)]
     known = Knowledge(measured, [sweeps(axis) for axis in "XYZ"], LIBRARY, NOISE)
     worth = {axis: known.worth(number).bits for number, axis in enumerate("XYZ")}
