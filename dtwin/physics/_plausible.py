@@ -29,6 +29,11 @@ def implausible(terms: Sequence[Term], values: Floats, *, on_circles: bool) -> M
         said = []
         for shape in effect.shapes:
             at, (low, high) = term.shape[shape.name], shape.bounds
+            if shape.as_large and at > (1.0 + _AT_LIMIT) * shape.largest_at(own[0]):
+                said.append(
+                    f"its {shape.name} of {shown_number(at)} {shape.unit} is much longer than its "
+                    f"{effect.parameters[0].name} of {shown_number(abs(own[0]))} {effect.parameters[0].unit}"
+                )
             # A limit at which an effect begins is its plain law: a drift that does not settle.
             below = at < high / (1.0 + _AT_LIMIT) or (on_circles and shape.start >= high)
             if not (low * (1.0 + _AT_LIMIT) <= at and below):

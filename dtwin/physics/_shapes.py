@@ -14,8 +14,8 @@ from dtwin.physics.problem import Term
 from dtwin.schema import Floats
 
 _FEW, _MOST = 8, 60
-# Of logarithms: a solver ends so far outside of its range; what begins so far outside was tried there.
-_MARGIN, _BEYOND = 1e-3, 0.1
+# Of logarithms: a solver ends so far outside of its range.
+_MARGIN = 1e-3
 _ABSENT = 1e-6
 _NEAR_ABSENT = 1e-2
 
@@ -29,8 +29,8 @@ def refined(
     ``terms``: effects with the shapes to start from.
     ``enough``: a step that lowers the sum of squares by less is the last one.
     ``bounded``: stay within the grids, as diagnosis does, and take few steps. Beyond them many effects turn into others:
-    friction without travel and a spike without end are backlash. Otherwise, and where more was tried beyond a grid as the
-    error is as large, within what is physically possible.
+    friction without travel and a spike without end are backlash. Otherwise, and where the error is as large, within what
+    is physically possible.
     The same terms when no other shapes are better, or when none has any.
     """
     several = campaign.problem.obs.several_speeds
@@ -43,7 +43,8 @@ def refined(
     parts = [slice(end - n, end) for end, n in zip(np.cumsum(sizes), sizes, strict=True)]
     projected = _Projected(campaign, shaped, free, parts)
     begun = np.concatenate([_logs(term, shapes) for term, shapes in zip(shaped, free, strict=True)])
-    ranges = [_bounds(shapes, begun[part], bounded) for shapes, part in zip(free, parts, strict=True)]
+    sizes_um = projected.sizes(begun)
+    ranges = [_bounds(shapes, begun[part], bounded, um) for shapes, part, um in zip(free, parts, sizes_um, strict=True)]
     low, high = (np.concatenate(ends) for ends in zip(*ranges, strict=True))
     before = float((projected.left(begun) ** 2).sum())
     found = scipy.optimize.least_squares(
@@ -59,6 +60,15 @@ def refined(
         return tuple(terms)
     new = {t.label: _at(t, shapes, found.x[part]) for t, shapes, part in zip(shaped, free, parts, strict=True)}
     return tuple(new.get(term.label, term) for term in terms)
+
+
+def is_too_long(campaign: Condensed, term: Term) -> bool:
+    """Tell whether a shape that is as large as the error is much larger than that: a play of a third of a micrometre with a standstill of 300."""
+    shapes = [shape for shape in term.instance.effect.shapes if shape.as_large]
+    if not shapes:
+        return False
+    (own,), _, _ = _Projected(campaign, [term], [()], [slice(0)]).amplitudes([term])
+    return any(term.shape[shape.name] > shape.largest_at(float(own[0])) for shape in shapes)
 
 
 class _Projected:
@@ -83,6 +93,12 @@ class _Projected:
         """Return the residual, shape (shapes + 1,)."""
         return self._both(logs)[:, -1]
 
+    def sizes(self, logs: Floats) -> list[float]:
+        """Return the first parameter of each effect."""
+        terms = [_at(t, free, logs[part]) for t, free, part in zip(self._terms, self._free, self._parts, strict=True)]
+        own, _, _ = self.amplitudes(terms)
+        return [float(amplitudes[0]) for amplitudes in own]
+
     def slopes(self, logs: Floats) -> Floats:
         """Return how the residual changes with every logarithm of a shape, shape (shapes + 1, shapes)."""
         return self._both(logs)[:, :-1]
@@ -95,21 +111,24 @@ class _Projected:
 
     def _evaluated(self, logs: Floats) -> Floats:
         """Return slopes and, at last, the residual, shape (m, shapes + 1)."""
-        campaign = self._campaign
         terms = [_at(t, free, logs[part]) for t, free, part in zip(self._terms, self._free, self._parts, strict=True)]
-        every = [campaign.columns_between(term) for term in terms]
-        columns = self._seen(np.concatenate(every, axis=1))
-        inverse = np.asarray(np.linalg.pinv(columns.T @ columns, rcond=1e-10, hermitian=True), float)
-        amplitude = inverse @ (columns.T @ self._residual)
-        own = np.split(amplitude, np.cumsum([made.shape[1] for made in every])[:-1])
+        own, columns, inverse = self.amplitudes(terms)
         changes = [
-            campaign.slope(term, shape.name) @ a
+            self._campaign.slope(term, shape.name) @ a
             for term, free, a in zip(terms, self._free, own, strict=True)
             for shape in free
         ]
         slopes = self._seen(np.stack(changes, axis=1))
         slopes -= columns @ (inverse @ (columns.T @ slopes))
-        return np.column_stack([-slopes, self._residual - columns @ amplitude])
+        return np.column_stack([-slopes, self._residual - columns @ np.concatenate(own)])
+
+    def amplitudes(self, terms: Sequence[Term]) -> tuple[list[Floats], Floats, Floats]:
+        """Return what is fitted of each effect, its columns beside what is known, (m, k), and the inverse of their products."""
+        every = [self._campaign.columns_between(term) for term in terms]
+        columns = self._seen(np.concatenate(every, axis=1))
+        inverse = np.asarray(np.linalg.pinv(columns.T @ columns, rcond=1e-10, hermitian=True), float)
+        amplitude = inverse @ (columns.T @ self._residual)
+        return np.split(amplitude, np.cumsum([made.shape[1] for made in every])[:-1]), columns, inverse
 
     def _seen(self, vectors: Floats) -> Floats:
         """Return vectors without what the known effects could be, shape (m, k)."""
@@ -127,10 +146,10 @@ def _logs(term: Term, free: Sequence[ShapeParameter]) -> Floats:
     return np.log(np.maximum([shape[s.name] for s in free], _ABSENT))
 
 
-def possible(shape: ShapeParameter) -> tuple[float, float]:
-    """Return the bounds of a shape, both above zero: what may be absent begins where it is as good as that."""
-    low, high = shape.bounds
-    return max(low, _NEAR_ABSENT * min(shape.grid or (shape.start,)), _ABSENT), high
+def possible(shape: ShapeParameter, size: float) -> tuple[float, float]:
+    """Return the bounds of a shape of an effect of a size, both above zero: what may be absent begins where it is as good as that."""
+    low = max(shape.bounds[0], _NEAR_ABSENT * min(shape.grid or (shape.start,)), _ABSENT)
+    return low, shape.largest_at(size)
 
 
 def _least(shape: ShapeParameter) -> float:
@@ -138,13 +157,13 @@ def _least(shape: ShapeParameter) -> float:
     return min(shape.grid) * (_NEAR_ABSENT if shape.vanishes else 1.0)
 
 
-def _bounds(free: Sequence[ShapeParameter], begun: Floats, within_grid: bool) -> tuple[Floats, Floats]:
-    """Return the range of each shape in logarithms; the solver wants a start inside."""
+def _bounds(free: Sequence[ShapeParameter], begun: Floats, within_grid: bool, size: float) -> tuple[Floats, Floats]:
+    """Return the range of each shape of an effect of a size in logarithms; the solver wants a start inside."""
     ranges = [
-        (_least(s), s.bounds[1] if s.as_large and at > np.log(max(s.grid)) + _BEYOND else max(s.grid))
+        (_least(s), s.largest_at(size) if s.as_large else max(s.grid))
         if within_grid and s.grid
-        else s.bounds
-        for s, at in zip(free, begun, strict=True)
+        else (s.bounds[0], s.largest_at(size))
+        for s in free
     ]
     low, high = np.log(np.maximum(ranges, _ABSENT)).T
     return np.minimum(low, begun) - _MARGIN, np.maximum(high, begun) + _MARGIN

@@ -99,7 +99,7 @@ def _shape_slopes(problem: Problem, terms: Sequence[Term], x: Floats) -> tuple[F
     for term in terms:
         effect = term.instance.effect
         sizes, at = x[at : at + len(effect.parameters)], at + len(effect.parameters)
-        ranges = {s.name: possible(s) for s in effect.refined_shapes(obs.several_speeds)}
+        ranges = {s.name: possible(s, sizes[0]) for s in effect.refined_shapes(obs.several_speeds)}
         ranges = {name: (low, high) for name, (low, high) in ranges.items() if low < high}
         if not ranges:
             continue

@@ -17,6 +17,8 @@ from dtwin.units import UM_PER_MM
 # No machine that anyone would measure has a fault of more times its ordinary size.
 _LARGEST = 200.0
 _BEYOND_GRID = 10.0
+# A table stands still for as long as its play is wide; wind-up beside it is taken up over some more travel.
+_AS_LONG = 3.0
 _AT_ONCE_UM = 1e-3
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(24)
 
@@ -63,7 +65,8 @@ class ShapeParameter:
         vanishes: Whether the effect stays the same one far below the smallest value tried: diagnosis may go there.
         by_speed: Whether only runs at several speeds tell it: at one speed it stays at its start.
         smooth: Whether a few values of the grid's range span the effect at all others, as they do for a time constant.
-        as_large: Whether the error is as large as the value: of what diagnosis tries besides, what is larger than the runs show is left out.
+        as_large: Whether the error is as large as the value: beyond the grid it is at most three times the effect's first parameter, and
+            of what diagnosis tries besides, what is larger than the runs show is left out.
         step_on_circles: A circle is shorter than an axis: every so-manieth value of the grid is tried on it.
     """
 
@@ -85,6 +88,11 @@ class ShapeParameter:
         """Smallest and largest value that a fit may give."""
         tried = self.grid or (self.start,)
         return self.limits or (min(tried) / _BEYOND_GRID, max(tried) * _BEYOND_GRID)
+
+    def largest_at(self, size: float) -> float:
+        """Return the largest value that is possible where the effect's first parameter is so large."""
+        high = self.bounds[1]
+        return min(high, max((*self.grid, _AS_LONG * abs(size)))) if self.as_large else high
 
 
 @dataclass(frozen=True)

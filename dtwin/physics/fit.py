@@ -15,7 +15,7 @@ from dtwin.physics import localise
 from dtwin.physics._condensed import Condensed, condensed
 from dtwin.physics._plausible import implausible
 from dtwin.physics._reference_lines import with_reference_lines
-from dtwin.physics._shapes import refined
+from dtwin.physics._shapes import is_too_long, refined
 from dtwin.physics._solve import in_blocks, solve_blocks
 from dtwin.physics._uncertainty import expanded
 from dtwin.physics.candidates import Candidates, likely_pitches
@@ -333,6 +333,7 @@ def _start(campaign: Condensed, candidates: Candidates, term: Term) -> Term:
         tries += [effect.start_shape | {effect.shapes[0].name: p} for p in likely_pitches(obs, rows, term.instance)]
     else:
         tries += list(candidates.grid(term.instance))
+    tries = [shape for shape in tries if not is_too_long(campaign, replace(term, shape=shape))]
     n, total = int(obs.mask.sum()), float(residual @ residual)
     costs = []
     for shape in tries:

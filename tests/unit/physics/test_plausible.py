@@ -32,6 +32,14 @@ def test_a_value_or_shape_at_its_limit_is_said(shape: dict[str, float], values: 
     assert bool(said) == bool(found)
 
 
+@pytest.mark.parametrize(
+    ("play_um", "standstill_um", "long"), [(0.3, 12.0, False), (60.0, 90.0, False), (8.0, 40.0, True)]
+)
+def test_a_table_stands_still_for_about_its_play(play_um: float, standstill_um: float, long: bool) -> None:
+    term = Term(Instance(LIBRARY["backlash"], "X"), {"standstill_um": standstill_um})
+    assert bool(implausible([term], np.array([-play_um]), on_circles=True)) == long
+
+
 def test_a_drift_that_does_not_settle_is_told() -> None:
     """Its time constant begins at its limit."""
     drift = LIBRARY["thermal_drift"]

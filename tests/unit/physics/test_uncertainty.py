@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from mill_and_laser import circles
 
 from dtwin.acquire.virtual_mill import _standard_tests
 from dtwin.machines.mill import VirtualMill
@@ -67,6 +68,14 @@ def test_what_one_feed_leaves_open_of_a_shape_makes_a_size_uncertain_and_not_wha
         assert abs(estimate.value - truth) < estimate.uncertainty
         assert 5.0 * estimate.uncertainty_at_shape < estimate.uncertainty
         assert Estimate.of(estimate.as_dict()) == estimate
+
+
+def test_a_play_that_is_nothing_is_no_long_standstill() -> None:
+    """Beside a scale that the twin lacks, the oval of it was told as a play of 0.37 ± 0.14 µm with a standstill of 300 µm."""
+    obs = circles(MillParameters().with_axis("X", scale_ppm=30.0, play_um=3.0), seed=2)
+    found = fit(obs, chosen_terms(("backlash",), LIBRARY, obs))
+    assert [abs(size.value - true) < 0.1 for size, true in zip(found.estimates, (3.0, 0.0), strict=True)] == [True] * 2
+    assert all(term.shape["standstill_um"] < 12.1 for term in found.terms)
 
 
 @pytest.mark.parametrize(
