@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from dtwin.physics.effect import Effect
 from dtwin.physics.gridding import Indices
 from dtwin.physics.observations import SETUP_COLUMNS
 from dtwin.physics.problem import Problem
@@ -83,6 +85,27 @@ def screen_channels(problem: Problem, seed: int) -> list[Channel]:
             name: _without(values[:, None], chosen)[:, 0] for name, values in channels.items() if name not in instead
         }
     return found
+
+
+def with_foreign(problem: Problem, channels: Sequence[Channel], library: Mapping[str, Effect]) -> Problem:
+    """Take out what moves with a channel that no effect knows, so that it is not noise."""
+    obs = problem.obs
+    theta = obs.grid.phase_rad
+    waves = [np.ones(obs.n_bins)] + [f(h * theta) for h in range(1, 5) for f in (np.cos, np.sin)]
+    for channel in channels:
+        if not is_foreign(channel.name, library):
+            continue
+        values = obs.centred_columns[channel.name]
+        columns = np.stack([values * wave for wave in waves], axis=2) * obs.mask[:, :, None]
+        whitened = problem.whitened(columns)
+        visible, _ = problem.visible(whitened)
+        problem = problem.extended(visible, whitened)
+    return problem
+
+
+def is_foreign(name: str, library: Mapping[str, Effect]) -> bool:
+    """Tell whether no effect of the library knows a channel."""
+    return name != "time_h" and all(name not in effect.needs for effect in library.values())
 
 
 def _test(spread: Floats, values: Floats, ways: Floats, others: _Others) -> tuple[float, float]:

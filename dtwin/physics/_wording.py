@@ -7,7 +7,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from dtwin.physics import localise
-from dtwin.physics._moved_setups import moved_setup
 from dtwin.physics._screen import Channel
 from dtwin.physics._search import Search
 from dtwin.physics.diagnosis import Unresolved
@@ -33,7 +32,7 @@ def unresolved_part(found: Search, left: Floats, p_value: float, laws_um: float 
         systematic_rms_um=rms_um,
         share=min(1.0, (rms_um / max(found.systematic_um[0], 1e-9)) ** 2),
         p_value=p_value,
-        words=laws or moved_setup(obs, left) or localise.headline(obs, left),
+        words=laws or localise.headline(obs, left),
         where=localise.worst_places(obs, left),
     )
 

@@ -14,8 +14,6 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
-import numpy as np
-
 from dtwin.physics import localise
 from dtwin.physics._doubts import (
     LACK_OF_FIT,
@@ -35,11 +33,12 @@ from dtwin.physics._law_search import search_laws
 from dtwin.physics._local_laws import laws_in_words, material_laws
 from dtwin.physics._material import IMMATERIAL
 from dtwin.physics._measured_once import as_if_repeated
+from dtwin.physics._moved_setups import beside_moves
 from dtwin.physics._nameless import local, nameless, simpler_law
 from dtwin.physics._outliers import odd_of_two, odd_runs
 from dtwin.physics._parity import Curve, curves_left, joined
 from dtwin.physics._score import HIGHEST_HARMONIC
-from dtwin.physics._screen import Channel, screen_channels
+from dtwin.physics._screen import Channel, is_foreign, screen_channels, with_foreign
 from dtwin.physics._search import Search, search
 from dtwin.physics._spread import spread_of, unsteady
 from dtwin.physics._suspects import closest, members, sized, suspect, suspects
@@ -78,6 +77,12 @@ def diagnose(obs: Observations, known: Sequence[Term], library: Mapping[str, Eff
         known: Effects of the twin, without set-up terms.
         library: Effects that may be missing.
     """
+    once = partial(_diagnosed, known=known, library=library, seed=seed)
+    return beside_moves(obs, known, library, once(obs), once)
+
+
+def _diagnosed(obs: Observations, known: Sequence[Term], library: Mapping[str, Effect], seed: int) -> Diagnosis:
+    """Find out what a twin lacks, each set-up at one place."""
     tried, untestable = applicable(library, obs, known)
     tell(f"{obs.campaign.name}: {len(tried)} effects of the library, each alone")
     within = [Term(i, i.effect.start_shape) for i in tried if i.effect.within_condition]
@@ -107,7 +112,7 @@ def diagnose(obs: Observations, known: Sequence[Term], library: Mapping[str, Eff
         blank, noise_floor_um=noise.floor_um, floor_kind="repeats", spread=spread_of(obs, residual, library)
     )
     channels = screen_channels(problem, seed)
-    beside = partial(_with_foreign, channels=channels, library=library)
+    beside = partial(with_foreign, channels=channels, library=library)
     problem = beside(problem)
     candidates = Candidates(obs, tried)
     searched = partial(_searched, candidates=candidates, beside=beside, seed=seed, shown_by_channel=bool(channels))
@@ -203,7 +208,7 @@ def _once(
     if copied is None:
         return replace(blank, headline=said)
     copies, floor_um = copied
-    found = diagnose(copies, known, library, seed=seed)
+    found = _diagnosed(copies, known, library, seed)
     groups = tuple(tuple(replace(s, grade="shape-consistent") for s in group) for group in found.found)
     said += f", it is at least {shown_number(floor_um, 2)} µm (harmonics above {HIGHEST_HARMONIC})"
     names = "; ".join(" or ".join(s.label for s in group) for group in groups)
@@ -252,13 +257,13 @@ def _concluded(
         invisible=first.first.invisible,
         untestable={**blank.untestable, **dict.fromkeys(found.untold, few)},
     )
-    foreign = tuple(c.name for c in channels if _is_foreign(c.name, library))
+    foreign = tuple(c.name for c in channels if is_foreign(c.name, library))
     if not found.found:
         return _nothing_found(blank, found, candidates, known, channels, words)
     moving = screen_channels(found.last, seed) if channels else ()
     # A channel of the library's own that still moves with what is left has not been explained.
     late_um = (
-        blank.noise_floor_um * max((c.share for c in moving if not _is_foreign(c.name, library)), default=0.0) ** 0.5
+        blank.noise_floor_um * max((c.share for c in moving if not is_foreign(c.name, library)), default=0.0) ** 0.5
     )
     much = _much_left(found, blank.noise_floor_um)
     doubts = doubted(found, late_um, tests)
@@ -377,23 +382,3 @@ def _worth_telling(found: Search, floor_um: float) -> bool:
 
 def _quiet(blank: Diagnosis) -> Verdict:
     return "variance_effect" if blank.spread else "nothing_missing"
-
-
-def _with_foreign(problem: Problem, channels: Sequence[Channel], library: Mapping[str, Effect]) -> Problem:
-    """Take out what moves with a channel that no effect knows, so that it is not noise."""
-    obs = problem.obs
-    theta = obs.grid.phase_rad
-    waves = [np.ones(obs.n_bins)] + [f(h * theta) for h in range(1, 5) for f in (np.cos, np.sin)]
-    for channel in channels:
-        if not _is_foreign(channel.name, library):
-            continue
-        values = obs.centred_columns[channel.name]
-        columns = np.stack([values * wave for wave in waves], axis=2) * obs.mask[:, :, None]
-        whitened = problem.whitened(columns)
-        visible, _ = problem.visible(whitened)
-        problem = problem.extended(visible, whitened)
-    return problem
-
-
-def _is_foreign(name: str, library: Mapping[str, Effect]) -> bool:
-    return name != "time_h" and all(name not in effect.needs for effect in library.values())

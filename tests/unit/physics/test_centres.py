@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
@@ -126,3 +127,21 @@ def test_a_set_up_that_moves_between_two_feeds_is_told(*, arc: bool) -> None:
     said, to_do = left.words.split("; ")
     assert said == f"as if set-up {obs.runs[0].setup} had moved by 12 µm between its runs at 500 and 2000 mm/min"
     assert "give runs after a move" in to_do
+
+
+def test_beside_a_set_up_that_moved_what_an_arc_shows_is_named() -> None:
+    """On an arc effects look like a move: nothing was named, and the move was not said."""
+    runs = []
+    for feed, (sense, way), repeat in product((1000.0, 2000.0), WAYS, (1, 2)):
+        angle = sense * np.radians(np.arange(-20.0, 200.0)[:: int(sense)] + 0.5)
+        cos, sin = np.cos(sense * angle), np.sin(sense * angle)
+        read_um = 6.0 * cos * sin + (5.0 * cos + 12.0 * sin) * (feed > 1500.0)
+        read_um += 0.1 * np.random.default_rng(len(runs)).standard_normal(angle.size)
+        meta = RunMeta(f"{len(runs)}", "circular", "YZ", way, 150.0, feed, repeat=repeat, setup="YZ")
+        runs.append(Run(meta, {"angle_deg": np.degrees(sense * angle), "deviation_um": read_um}))
+    found = diagnose(observe(Campaign("arcs", "mill"), runs), [], LIBRARY)
+    assert [[suspect.label for suspect in group] for group in found.found] == [["squareness YZ"]]
+    assert found.unresolved is not None
+    assert found.unresolved.words.startswith("as if set-up YZ had moved by 13 µm between its runs at 1000 and 2000")
+    (size,) = found.group[0].sizes
+    assert abs(size.value + 40.0) < size.uncertainty < 0.5
