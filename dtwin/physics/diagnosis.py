@@ -180,8 +180,11 @@ class Diagnosis:
         What may be how far the laws of those are off stays in its last word. A group must foretell ``LEAST_GAIN`` of what
         is left where it was not fitted. What follows the reversals of an axis is also what the law of friction, of a spike
         or of a mode of that axis leaves there, unless radius and feed were changed apart from each other; and friction, what
-        that of backlash leaves: the two would then take each other away.
+        that of backlash leaves: the two would then take each other away. Of runs that were measured once it is none: what is
+        left of them is also noise that no repeat tells from it.
         """
+        if self.verdict == "need_repeats":
+            return ()
         follows = set() if any(one.crossed for one in campaigns) else _LIKE_IT
 
         def is_left(top: Suspect) -> bool:

@@ -17,7 +17,7 @@ from dtwin.physics._score import Score
 from dtwin.physics._search import adjusted
 from dtwin.physics.candidates import Candidate, independent
 from dtwin.physics.diagnose import diagnose
-from dtwin.physics.diagnosis import Diagnosis, Suspect
+from dtwin.physics.diagnosis import Diagnosis, Suspect, Verdict
 from dtwin.physics.effect import Instance
 from dtwin.physics.gridding import N_BINS
 from dtwin.physics.library import Library
@@ -121,3 +121,11 @@ def test_what_follows_reversals_stands_beside_its_like_only_where_conditions_tel
     found = Diagnosis("missing_effect", "", 1.0, 1.0, 0.1, "repeats", 0.0, found=((top,),))
     campaign = cast(Observations, SimpleNamespace(crossed=crossed))
     assert bool(found.to_add([there], [campaign])) is added
+
+
+@pytest.mark.parametrize("verdict", ["missing_effect", "need_repeats"])
+def test_of_runs_that_were_measured_once_discover_adds_what_they_look_like_and_no_more(verdict: Verdict) -> None:
+    """Two arcs both ways: after the first of two faults eleven effects of less than 0.15 µm were added that are not there."""
+    top = Suspect("lateral_play", "Y", 0.1, 0.9, 0.0, True, None, (), (), 0.5, "")
+    found = Diagnosis(verdict, "", 1.0, 1.0, 0.1, "repeats", 0.0, found=((top,),))
+    assert bool(found.to_add(["squareness XY"], [])) is (verdict == "missing_effect")
