@@ -78,8 +78,8 @@ class Objects:
         import obstore
 
         def answer() -> tuple[bytes, str]:
-            found = obstore.get(self._store, name)
-            return bytes(found.bytes()), str(found.meta["e_tag"])
+            stored = obstore.get(self._store, name)
+            return bytes(stored.bytes()), str(stored.meta["e_tag"])
 
         return self._ask(name, answer, missing=True)
 

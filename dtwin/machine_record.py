@@ -171,11 +171,11 @@ def without_event(home: Home, machine: str, what: str, on: str, note: str) -> Ma
         known = read_record(home, machine) or MachineRecord(machine)
         of_day = [e for e in known.events if (e.on, e.what) == (wanted.on, wanted.what)]
         same = [e for e in of_day if e.note.strip() == note.strip()]
-        found = same or ([] if note.strip() else of_day)
-        if len(set(found)) != 1:
-            noted = [f"{e.on.isoformat()} {e.what} {e.note[:40]}".strip() for e in found or known.events]
+        meant = same or ([] if note.strip() else of_day)
+        if len(set(meant)) != 1:
+            noted = [f"{e.on.isoformat()} {e.what} {e.note[:40]}".strip() for e in meant or known.events]
             raise InputError(
-                "several such events are noted" if found else "no such event is noted",
+                "several such events are noted" if meant else "no such event is noted",
                 code="machine.event",
                 where=f"machine {machine}",
                 got=f"{wanted.on.isoformat()} {what} {note[:40]}".strip(),
@@ -183,7 +183,7 @@ def without_event(home: Home, machine: str, what: str, on: str, note: str) -> Ma
                 hint="name it with --on, and --note where several are of one day",
             )
         events = list(known.events)
-        events.remove(found[0])
+        events.remove(meant[0])
         return _written(home, replace(known, events=tuple(events)))
 
 

@@ -240,16 +240,16 @@ class _Copy:
         place = self.home.root / unit
         while True:
             before = _stamps(place)
-            found = {}
+            files = {}
             with contextlib.suppress(FileNotFoundError):
                 for name, stamp in before.items():
                     same = known.stamps.get(name) == stamp and name in known.files
                     path = place / name if name else place
-                    found[name] = known.files[name] if same else hashlib.sha256(path.read_bytes()).hexdigest()
+                    files[name] = known.files[name] if same else hashlib.sha256(path.read_bytes()).hexdigest()
                 if _stamps(place) == before:
-                    if found == known.files:
+                    if files == known.files:
                         known.stamps = before
-                    return found
+                    return files
 
     def _index(self) -> dict[str, _Known]:
         path = self.home.root / _INDEX

@@ -115,11 +115,11 @@ def with_shares(text: str) -> str:
     return _SHARE.sub(_share, _TORQUE.sub(NEWTON_METRE, text))
 
 
-def _share(found: re.Match[str]) -> str:
-    word, zeros = found["word"], found["zeros"] or found["more"] or ""
+def _share(match: re.Match[str]) -> str:
+    word, zeros = match["word"], match["zeros"] or match["more"] or ""
     power = _POWERS[word[:2].lower()] if word else 1 + len(zeros)
-    unit = "mm" if found["unit"].lower() == "mm" else "in"
-    return f"{_SHARES[power - 1]}{unit}" if power <= len(_SHARES) else found[0]
+    unit = "mm" if match["unit"].lower() == "mm" else "in"
+    return f"{_SHARES[power - 1]}{unit}" if power <= len(_SHARES) else match[0]
 
 
 def shown_number(value: float, digits: int = 3, sign: str = "") -> str:

@@ -18,7 +18,6 @@ from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING
 
 import uvicorn
-from dtwin.faults import fault_of
 from mlflow.utils.mlflow_tags import MLFLOW_PARENT_RUN_ID
 from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import Headers, QueryParams
@@ -28,6 +27,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 
 from dtwin.config import home
 from dtwin.errors import DtwinError
+from dtwin.failures import fault_of
 from dtwin.own_address import names_this_computer
 from flows.own_pages import ENTER, HOST, asks_from_elsewhere, refuse
 from flows.reach import mlflow_token

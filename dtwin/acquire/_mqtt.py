@@ -161,15 +161,15 @@ class MqttRecorder(OpenAndClose):
 
     def check(self) -> tuple[Finding, ...]:
         """Return how many messages were refused so far, and whether the broker was away at the end."""
-        found = []
+        findings = []
         if self._refused:
             text = (
                 f"{self._refused} messages were no numbers, too long, without their time, or more than could wait here"
             )
-            found.append(Finding("mqtt.refused", "warning", text, {"messages": float(self._refused)}))
+            findings.append(Finding("mqtt.refused", "warning", text, {"messages": float(self._refused)}))
         if self._hurried and not math.isnan(self._away_s):
-            found.append(Finding("mqtt.away", "warning", f"{_AWAY} when recording was ended", {}))
-        return tuple(found)
+            findings.append(Finding("mqtt.away", "warning", f"{_AWAY} when recording was ended", {}))
+        return tuple(findings)
 
     def start(self) -> None:
         """Begin with the first message."""

@@ -87,13 +87,15 @@ class MTConnectRecorder(OpenAndClose):
 
     def check(self) -> tuple[Finding, ...]:
         """Return which data items are left out, and whether the agent was away at the end."""
-        found = []
+        findings = []
         if self._left:
             text = f"{len(self._left)} data items are not recorded: {'; '.join(self._left[:8])}"
-            found.append(Finding("mtconnect.left_out", "info", text, {"items": float(len(self._left))}))
+            findings.append(Finding("mtconnect.left_out", "info", text, {"items": float(len(self._left))}))
         if self._left_away:
-            found.append(Finding("mtconnect.away", "warning", "the agent did not answer when recording was ended", {}))
-        return tuple(found)
+            findings.append(
+                Finding("mtconnect.away", "warning", "the agent did not answer when recording was ended", {})
+            )
+        return tuple(findings)
 
     def start(self) -> None:
         """Begin with what holds now."""

@@ -202,10 +202,10 @@ def seconds(stamp: str, where: str) -> float:
     """Return the seconds since 1970 of a time as ISO 8601 writes it; UTC where it names no zone."""
     try:
         # A duration may follow after an @.
-        found = datetime.fromisoformat(stamp.partition("@")[0])
+        when = datetime.fromisoformat(stamp.partition("@")[0])
     except ValueError as error:
         raise DeviceError("a time is not readable", code="stream.time", where=where, got=stamp[:60]) from error
-    return (found if found.tzinfo else found.replace(tzinfo=UTC)).timestamp()
+    return (when if when.tzinfo else when.replace(tzinfo=UTC)).timestamp()
 
 
 def _plain(name: str) -> str:

@@ -148,10 +148,10 @@ def _period(deviation: Floats, rate_hz: float, expected: float) -> float:
     skip, samples, repeats = 0, np.nan, 0.0
     for _ in range(2):
         try:
-            found = true_period(deviation, rate_hz, expected / rate_hz, skip_samples=skip)
+            period = true_period(deviation, rate_hz, expected / rate_hz, skip_samples=skip)
         except InputError:
             break
-        samples, repeats = found.samples, found.correlation
+        samples, repeats = period.samples, period.correlation
         skip = lead_in_samples(deviation, rate_hz, samples)
     return samples if repeats > _REPEATS else np.nan
 
@@ -258,10 +258,10 @@ def _misregistered(run: Run, motion: Motion) -> Iterator[Finding]:
 
 
 def _repeats(run: Run, motion: Motion) -> Iterator[Finding]:
-    found = non_repeatable_um(run, motion)
-    if found is None:
+    scatter = non_repeatable_um(run, motion)
+    if scatter is None:
         return
-    correlation, repeatable, rest = found
+    correlation, repeatable, rest = scatter
     yield Finding(
         "repeat.revolutions",
         "info",

@@ -35,21 +35,21 @@ def judge_campaign(runs: Sequence[Run]) -> list[Finding]:
     if not runs:
         return []
     told = of_one_way(runs)
-    found = kind_named(runs[0].meta.kind).judge_campaign(told)
+    findings = kind_named(runs[0].meta.kind).judge_campaign(told)
     if len(told) < len(runs):
         said = (
             f"{len(runs) - len(told)} of {len(runs)} runs were measured with a correction that the rest did not have: "
             "figures, repeats and twins are of the rest; dtwin evidence compares the two"
         )
-        found.append(Finding("campaign.ways", "info", said, {"runs_1": float(len(runs) - len(told))}))
+        findings.append(Finding("campaign.ways", "info", said, {"runs_1": float(len(runs) - len(told))}))
     to_come = [run.meta.started for run in runs if is_to_come(run.meta.started)]
     if to_come:
         said = (
             f"{len(to_come)} of {len(runs)} runs were measured on days that are to come, as {to_come[0][:10]}: a wrong year, "
             "or a clock that is wrong; as long as it stands, this test is the newest of its machine"
         )
-        found.append(Finding("campaign.to_come", "warning", said, {"runs_1": float(len(to_come))}))
-    return found
+        findings.append(Finding("campaign.to_come", "warning", said, {"runs_1": float(len(to_come))}))
+    return findings
 
 
 def said_together(runs: Sequence[Run]) -> list[Finding]:

@@ -146,7 +146,7 @@ def _converted(path: Path, _changed_ns: int, axis: str | None) -> tuple[bytes, b
                 sheet.title: _heads(_rows(path, islice(sheet.iter_rows(values_only=True), _LOOKED_AT)))
                 for sheet in shown
             }
-            tables = [title for title, found in heads.items() if found]
+            tables = [title for title, headed in heads.items() if headed]
             alike = [title for title in tables if heads[title] == heads[tables[0]]]
             wanted = (axis or "").strip().casefold()
             called = [title for title in tables if wanted and axis_of(title, bare=True) == wanted.upper()]
@@ -241,28 +241,28 @@ def _of_parquet(path: Path, data: bytes) -> bytes:
 
 def _sheets_with(form: re.Pattern[bytes], archive: zipfile.ZipFile) -> set[str]:
     """Return in which sheets of a workbook, by their names in its archive, something of a form stands."""
-    found = set()
+    titles = set()
     for entry in archive.infolist():
         if entry.filename.startswith("xl/worksheets/"):
             with archive.open(entry) as sheet:
                 end = b""
                 while block := sheet.read(_CHUNK):
                     if form.search(end + block):
-                        found.add(entry.filename)
+                        titles.add(entry.filename)
                         break
                     end = block[-_LOOKED_AT:]
-    return found
+    return titles
 
 
 def _hidden_columns(archive: zipfile.ZipFile) -> dict[str, list[range]]:
     """Return which columns of each sheet are not shown, from 0; they stand before its cells."""
-    found: dict[str, list[range]] = {}
+    hidden: dict[str, list[range]] = {}
     for entry in archive.infolist():
         if entry.filename.startswith("xl/worksheets/") and not entry.is_dir():
             with archive.open(entry) as sheet:
                 told = _HIDDEN_COLUMNS.findall(sheet.read(_SNIFFED))
-            found[entry.filename] = [range(int(first) - 1, int(last)) for first, last in told]
-    return found
+            hidden[entry.filename] = [range(int(first) - 1, int(last)) for first, last in told]
+    return hidden
 
 
 def _opened(data: bytes, *, data_only: bool = False) -> Any:

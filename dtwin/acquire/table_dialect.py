@@ -74,9 +74,9 @@ def decoded(data: bytes) -> str:
     text = data.decode(encoding_of(data), errors="replace").rstrip("\x1a")
     text = _SEPARATOR.sub("", text, count=1)
     lines = text[:_SNIFFED_BYTES].splitlines(keepends=True)
-    if (found := marked_heads(lines)) is None:
+    if (marked := marked_heads(lines)) is None:
         return text
-    at, heads = found[0], found[2]
+    at, heads = marked[0], marked[2]
     above = "".join(lines[:at])
     return f"{above}{heads}\n{text[len(above) + len(lines[at]) :]}"
 

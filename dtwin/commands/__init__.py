@@ -16,7 +16,9 @@ _ENTRY_POINTS = "dtwin.commands"
 def register(app: typer.Typer) -> None:
     """Add every command to the application: each module here, and in a package of an entry point, that has an ``app`` adds its own."""
     packages = [import_module(__name__), *(entry.load() for entry in entry_points(group=_ENTRY_POINTS))]
-    modules = [import_module(f"{p.__name__}.{found.name}") for p in packages for found in iter_modules(p.__path__)]
+    modules = [
+        import_module(f"{p.__name__}.{module_info.name}") for p in packages for module_info in iter_modules(p.__path__)
+    ]
     for module in modules:
         if hasattr(module, "app"):
             app.add_typer(module.app)

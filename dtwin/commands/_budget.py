@@ -46,9 +46,9 @@ def error_budget(
     elif origin is not None:
         raise InputError("--origin is of a program only", code="budget.origin", got=origin, hint="--program FILE")
     else:
-        found, spread = Twins(home(), library).budget(twin, campaign)
-        about = {"campaign": campaign or twin.campaign, **spread_as_dict(found, spread)}
-        text = budget_text(found, spread)
+        budget, spread = Twins(home(), library).budget(twin, campaign)
+        about = {"campaign": campaign or twin.campaign, **spread_as_dict(budget, spread)}
+        text = budget_text(budget, spread)
     shelf = twins_named(name, effects_path)
     diagnosis = diagnosed(shelf, shelf.newest(name))[1]
     payload = {"twin": name, "version": twin.version, **about, "undecided": undecided_of(diagnosis)}

@@ -233,8 +233,8 @@ def _report_text(report: IngestReport) -> str:
     by_code: dict[str, list[tuple[str, Finding]]] = {}
     for run, finding in report.findings:
         by_code.setdefault(finding.code, []).append((run, finding))
-    for found in by_code.values():
-        run, first = found[0]
-        more = f" (and {len(found) - 1} more runs)" if len(found) > 1 else ""
+    for findings in by_code.values():
+        run, first = findings[0]
+        more = f" (and {len(findings) - 1} more runs)" if len(findings) > 1 else ""
         lines.append(f"  {first.severity}: {run or 'campaign'}: {first.message}{more}")
     return "\n".join(lines)

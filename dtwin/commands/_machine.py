@@ -249,8 +249,8 @@ def _joint_text(diagnosis: Mapping[str, Any]) -> str:
     return "\n".join([table(("day", "test", "kind", "found by itself"), rows), *_passed_over(diagnosis), "", *lines])
 
 
-def _passed_over(found: Mapping[str, Any]) -> list[str]:
-    return [f"passed over: {name}: {why}" for name, why in found["passed_over"].items()]
+def _passed_over(history: Mapping[str, Any]) -> list[str]:
+    return [f"passed over: {name}: {why}" for name, why in history["passed_over"].items()]
 
 
 def _axis(text: str) -> tuple[str, dict[str, float]]:

@@ -60,8 +60,8 @@ def record(
             hint="name a channel file with --sensors, a controller with --robot, a stream file with --streams",
         )
     in_force = correction_in_force(home(), machine)
-    for found in recover_runs(out, in_force):
-        print(f"recovered what a killed recording left: {run_text(found)}", file=sys.stderr)
+    for recovered in recover_runs(out, in_force):
+        print(f"recovered what a killed recording left: {run_text(recovered)}", file=sys.stderr)
     request = replace(
         _request(out, run, machine, duration, reference, stated), head=_head(out, robot), in_force=in_force
     )

@@ -134,9 +134,9 @@ def _when_expired(said: str) -> WhenExpired:
 def _render_served(served: Served) -> str:
     """Return the status of a session for people."""
     status, timing = served.status, served.status.timing
-    found = served.resolved
+    resolved = served.resolved
     head = (
-        f"{found.machine} version {found.version} ({found.state}) on the {served.device} "
+        f"{resolved.machine} version {resolved.version} ({resolved.state}) on the {served.device} "
         f"controller at {served.request.place}: {status.mode}, {status.clock} clock"
     )
     kept = "released" if status.released else "NOT confirmed as released by this end"
@@ -183,7 +183,8 @@ def _times(timing: Mapping[str, Any]) -> dict[str, Any]:
 def _percentiles(title: str, rows: Mapping[str, Mapping[str, float] | None]) -> str:
     columns = ("p50", "p99", "p99.9", "max")
     return table(
-        (title, *columns), [[name, *((found or {}).get(column) for column in columns)] for name, found in rows.items()]
+        (title, *columns),
+        [[name, *((figures or {}).get(column) for column in columns)] for name, figures in rows.items()],
     )
 
 

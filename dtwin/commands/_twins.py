@@ -244,8 +244,8 @@ def correct_machine(
     from dtwin.report.correction import correction_text
     from dtwin.twins.correct import correct
 
-    found = correct(twins_named(name, effects_path), name, campaign=campaign, trial=trial, seed=seed).as_dict()
-    emit(found, lambda: correction_text(found), as_json=as_json)
+    correction = correct(twins_named(name, effects_path), name, campaign=campaign, trial=trial, seed=seed).as_dict()
+    emit(correction, lambda: correction_text(correction), as_json=as_json)
 
 
 @app.command("confirm")

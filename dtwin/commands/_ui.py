@@ -121,11 +121,11 @@ def up(
         left = log_waiting(home())
         if left:
             print(waiting_text(left), file=sys.stderr, flush=True)
-        with servers(home(), request) as found:
-            payload: dict[str, Any] = found.addresses | {"cron": times}
+        with servers(home(), request) as running:
+            payload: dict[str, Any] = running.addresses | {"cron": times}
             shown = json.dumps(payload, indent=2) if as_json else _text(payload, home())
             print(shown, flush=True)
-            found.watch()
+            running.watch()
     except KeyboardInterrupt:
         print("stopped", file=sys.stderr)
 

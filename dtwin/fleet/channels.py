@@ -191,8 +191,8 @@ def channels_of(home: Home) -> list[Channel]:
     unknown = sorted(set(stated) - set(_KINDS))
     if unknown:
         raise _refused(str(path), ", ".join(unknown)[:120], ", ".join(_KINDS))
-    found = [_checked(_settings(_KINDS[name], stated[name], f"{path}: {name}"), str(path)) for name in stated]
-    return [one for channel in found for one in _by_receiver(channel)]
+    channels = [_checked(_settings(_KINDS[name], stated[name], f"{path}: {name}"), str(path)) for name in stated]
+    return [one for channel in channels for one in _by_receiver(channel)]
 
 
 def _by_receiver(channel: Channel) -> Sequence[Channel]:

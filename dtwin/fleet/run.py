@@ -250,8 +250,8 @@ def engine(on: str = "local", workers: int | None = None) -> Iterator[_Engine]:
     Raises ``StoreError`` when no scheduler answers, or it has no worker.
     """
     scheduler = _require_engine(on, workers)
-    with _dask(scheduler) if scheduler else _local(workers or processors()) as found:
-        yield found
+    with _dask(scheduler) if scheduler else _local(workers or processors()) as running:
+        yield running
 
 
 @contextmanager

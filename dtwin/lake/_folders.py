@@ -179,8 +179,8 @@ class _SharedFolder:
 
     def names(self, ending: str, after: str = "") -> list[str]:
         """Return the objects right in the folder with this ending, sorted."""
-        found = [stored.name for stored in self._objects.list(after=after)]
-        return [name for name in found if name.endswith(ending) and "/" not in name and name > after]
+        names = [stored.name for stored in self._objects.list(after=after)]
+        return [name for name in names if name.endswith(ending) and "/" not in name and name > after]
 
     def delete(self, name: str) -> None:
         """Delete an object."""

@@ -165,7 +165,7 @@ def with_across(
     ``refused``: from ``own_axis_only``.
     ``origin_mm``, (3,): centre of the measured circles in the coordinates of the machine.
     """
-    left, found = dict(refused), []
+    left, tables = dict(refused), []
     twin = replace(twin, terms=_of(twin, refused))
     speed, reach = twin.box.feed_mm_min[0] / 60.0, twin.box.radius_mm[1]
     for other in (a for a in AXES if a != table.axis and any(a in plane for plane in twin.box.planes)):
@@ -183,9 +183,9 @@ def with_across(
             along=other,
         )
         if np.abs(made.forward_um).max() > 0.0:
-            found.append(made)
+            tables.append(made)
             left = {label: why for label, why in left.items() if label in wrong or not _acts(kept, label, made)}
-    return replace(table, across=tuple(found)), left
+    return replace(table, across=tuple(tables)), left
 
 
 def _acts(twin: Twin, label: str, table: AxisTable) -> bool:

@@ -56,10 +56,10 @@ class DriftCheck:
 
     def as_dict(self) -> dict[str, Any]:
         """Return a JSON-ready mapping."""
-        found = self.finding
+        finding = self.finding
         return _plain(vars(self)) | {
             "error": _plain(vars(self.error)) if self.error else None,
-            "finding": found.as_dict() if found else None,
+            "finding": finding.as_dict() if finding else None,
         }
 
 

@@ -201,14 +201,14 @@ def _equation(source: Source, form: str) -> Export:
 def _settings(source: Source, twin: Twin, form: str) -> Export:
     said = [*whose(source.bundle, source.version, source.state), NOT_LOADED]
     if form == "klipper":
-        found = skews(twin)
-        text = klipper_settings(found, said)
+        settings = skews(twin)
+        text = klipper_settings(settings, said)
     else:
-        text, found = reprap_settings(twin, said)
+        text, settings = reprap_settings(twin, said)
     held = HELD[form]
     left_out = {t.label: f"is no {' or '.join(held)}" for t in twin.terms if t.instance.effect.name not in held}
     notes = (NOT_LOADED, "the values replace those that were in force: they are right for tests without any of them")
-    return Export(text, {"skew_rad" if form == "klipper" else "settings": found}, left_out, notes)
+    return Export(text, {"skew_rad" if form == "klipper" else "settings": settings}, left_out, notes)
 
 
 def _program(source: Source, twin: Twin, request: Request) -> Export:

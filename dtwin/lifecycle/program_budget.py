@@ -213,33 +213,33 @@ def _rms(vectors: Floats, step_mm: Floats) -> float:
     return float(np.sqrt(((vectors**2).sum(axis=1) * step_mm).sum() / step_mm.sum()))
 
 
-def program_text(found: _ProgramBudget) -> str:
+def program_text(budget: _ProgramBudget) -> str:
     """Return the budget of a program for the terminal."""
-    shown = program_table(found)
-    return "\n".join([table(shown.head, shown.rows), "", *program_lines(found)])
+    shown = program_table(budget)
+    return "\n".join([table(shown.head, shown.rows), "", *program_lines(budget)])
 
 
-def program_table(found: _ProgramBudget) -> Table:
+def program_table(budget: _ProgramBudget) -> Table:
     """Return every cause, the largest first, and all of them together."""
     parts = [f"{name}, µm" for name in (*AXES, *AXES_OF)]
     head = ["cause", "RMS, µm", *parts, "across the way, µm", "largest, µm", "left without it, µm"]
-    rows = [[*_row(cut), _sure(cut.left_um, cut.left_k2_um)] for cut in found.causes]
-    return Table(head, [*rows, [*_row(found.every), "-"]])
+    rows = [[*_row(cut), _sure(cut.left_um, cut.left_k2_um)] for cut in budget.causes]
+    return Table(head, [*rows, [*_row(budget.every), "-"]])
 
 
-def program_lines(found: _ProgramBudget) -> list[str]:
+def program_lines(budget: _ProgramBudget) -> list[str]:
     """Return what holds of the table, and the remedy of each cause."""
     lines = [
-        f"{found.length_mm:z.0f} mm at feed, at the speed that is programmed",
+        f"{budget.length_mm:z.0f} mm at feed, at the speed that is programmed",
         "± is k = 2, from the uncertainties of the parameters, taken as uncorrelated",
     ]
-    if found.outside > 0.0:
-        lines.append(f"{100 * found.outside:z.0f} % of the points lie further out than anything that was measured")
-    lines += [f"not in it: {label}: {why}" for label, why in found.not_told.items()]
+    if budget.outside > 0.0:
+        lines.append(f"{100 * budget.outside:z.0f} % of the points lie further out than anything that was measured")
+    lines += [f"not in it: {label}: {why}" for label, why in budget.not_told.items()]
     # What may be nothing at all is not mended.
     return [
         *lines,
-        *(f"{cut.label}: {AS_ZERO if cut.rms_um[''] <= cut.k2_um[''] else cut.remedy}" for cut in found.causes),
+        *(f"{cut.label}: {AS_ZERO if cut.rms_um[''] <= cut.k2_um[''] else cut.remedy}" for cut in budget.causes),
     ]
 
 

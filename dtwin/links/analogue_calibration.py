@@ -77,7 +77,7 @@ def read_points(path: Path) -> dict[str, tuple[_Floats, _Floats]]:
                 rows.setdefault(row["axis"], []).append(values)
     except (OSError, ValueError, TypeError, csv.Error) as error:
         raise _bad(path, "file", str(error)[:120], "a CSV file of numbers") from error
-    return {axis: (np.array(found)[:, 0], np.array(found)[:, 1:]) for axis, found in rows.items()}
+    return {axis: (np.array(points)[:, 0], np.array(points)[:, 1:]) for axis, points in rows.items()}
 
 
 def calibrate(points: Mapping[str, tuple[_Floats, _Floats]]) -> dict[str, _AxisFit]:

@@ -168,19 +168,19 @@ def of_twin(twins: TwinShelf, twin: Any) -> TwinResult:
     return TwinResult(twin.as_dict(), report_of(twin.as_dict()).twin_text(twin), draw)
 
 
-def of_comparison(found: Any) -> ComparisonResult:
+def of_comparison(comparison: Any) -> ComparisonResult:
     """Return a comparison as a result."""
-    document = found.as_dict()
+    document = comparison.as_dict()
     report = report_of(document)
     return ComparisonResult(
-        document, report.comparison_text(document), lambda: _figures(report.comparison_sections(found, document))
+        document, report.comparison_text(document), lambda: _figures(report.comparison_sections(comparison, document))
     )
 
 
-def of_diagnosis(twin: Any, found: Any) -> DiagnosisResult:
+def of_diagnosis(twin: Any, diagnosis: Any) -> DiagnosisResult:
     """Return a diagnosis of a version of a twin as a result."""
     name: str = twin.name
-    document = {"twin": name, "version": twin.version, "campaign": twin.campaign, **found.as_dict()}
+    document = {"twin": name, "version": twin.version, "campaign": twin.campaign, **diagnosis.as_dict()}
     report = report_of(document)
     return DiagnosisResult(
         document, report.diagnosis_text(name, document), lambda: _figures([report.diagnosis_section(name, document)])

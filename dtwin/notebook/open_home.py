@@ -193,7 +193,7 @@ class OpenHome:
         Raises:
             InputError: When the run has no such signals, or several and none was named.
         """
-        groups = {found.name: found for found in self._run(campaign, run, signals=True).signals}
+        groups = {signal.name: signal for signal in self._run(campaign, run, signals=True).signals}
         if group is None and len(groups) == 1:
             (group,) = groups
         if group not in groups:

@@ -22,14 +22,14 @@ def in_best_shapes(
     ``but``: labels that are not tested.
     Returns the effects, and the labels of those that cannot be seen beside what is known.
     """
-    found, invisible = [], []
+    seen, invisible = [], []
     for instance in (i for i in dictionary.candidates.instances if i.label not in but):
         candidate = in_best_shape(dictionary, chosen, given, instance, level)
         if candidate is None:
             invisible.append(instance.label)
         else:
-            found.append(candidate)
-    return found, invisible
+            seen.append(candidate)
+    return seen, invisible
 
 
 def in_best_shape(
@@ -41,10 +41,10 @@ def in_best_shape(
         return None
     gains, products, sizes = dictionary.family(chosen, entries)
     best = int(np.argmax(np.where(sizes > 0, gains, -1.0)))
-    found = dictionary.candidates.together(given, entries[best].term, level) if sizes[best] else None
-    if found is None:
+    candidate = dictionary.candidates.together(given, entries[best].term, level) if sizes[best] else None
+    if candidate is None:
         return None
     tried = independent_by_products(products, sizes[sizes > 0], given.obs)
     if is_periodic(instance):
         tried = max(tried, independent_pitches(given.obs))
-    return found.with_p_value(float(-np.expm1(tried * np.log1p(-min(found.score.p_value, 1.0 - 1e-12)))))
+    return candidate.with_p_value(float(-np.expm1(tried * np.log1p(-min(candidate.score.p_value, 1.0 - 1e-12)))))

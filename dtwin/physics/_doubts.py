@@ -51,36 +51,36 @@ _SAME_LENGTH = 0.01
 Tests = Mapping[str, Mapping[str, Sequence[LawTest]]]
 
 
-def doubted(found: Search, late_um: float, tests: Tests) -> list[Found]:
+def doubted(search: Search, late_um: float, tests: Tests) -> list[Found]:
     """Return the effects whose laws are broken, or that foretell nothing.
 
     ``late_um``: what still moves with a channel of the library's own, RMS.
     """
-    may_leave = _LATE if found.plain.obs.there_and_back else 0.0
+    may_leave = _LATE if search.plain.obs.there_and_back else 0.0
     return [
         f
-        for f in found.found
+        for f in search.found
         if not survivors(f, tests[f.label])
         or at_its_end(f.top.term)
-        or _hangs_untested(f, tests[f.label][f.label], found)
+        or _hangs_untested(f, tests[f.label][f.label], search)
         or f.gain <= 0.0
         or f.size_um <= 0.0
-        or _is_local(f, found.plain.obs)
+        or _is_local(f, search.plain.obs)
         or (late_um > may_leave * f.size_um and f.top.term.instance.effect.within_condition)
-        or _is_weak(f, tests[f.label][f.label], found)
+        or _is_weak(f, tests[f.label][f.label], search)
     ]
 
 
-def beside_places(found: Search, first: Search) -> list[Found]:
+def beside_places(search: Search, first: Search) -> list[Found]:
     """Return the curves of many numbers that are small beside laws of one place: these may have another form.
 
     ``first``: the search without the laws.
     """
-    whole_um, left_um = first.systematic_um[0], found.systematic_um[0]
+    whole_um, left_um = first.systematic_um[0], search.systematic_um[0]
     least_um = _OF_PLACES * max(0.0, whole_um**2 - left_um**2) ** 0.5
     return [
         f
-        for f in found.found
+        for f in search.found
         if f.candidates.numbers(f.top.term) > _MANY
         and not is_periodic(f.top.term.instance)
         and not f.top.term.instance.effect.within_condition
@@ -88,21 +88,21 @@ def beside_places(found: Search, first: Search) -> list[Found]:
     ]
 
 
-def is_dwarfed(effect: Found, found: Search) -> bool:
+def is_dwarfed(effect: Found, search: Search) -> bool:
     """Tell whether what is certainly left is so much larger that an effect may be a part of it."""
-    certain = found.lack_of_fit[-1] <= LACK_OF_FIT
-    return certain and effect.size_um < _DWARFED * found.systematic_um[-1]
+    certain = search.lack_of_fit[-1] <= LACK_OF_FIT
+    return certain and effect.size_um < _DWARFED * search.systematic_um[-1]
 
 
-def follows_unknown(effect: Found, tests: Tests, found: Search) -> bool:
+def follows_unknown(effect: Found, tests: Tests, search: Search) -> bool:
     """Tell whether an effect of the place on circles, or any in tones, may be drawn through something unknown that is left.
 
     A smooth curve of many numbers follows anything. What is the same at every feed, by its law, and is not quite, is the mean of
     something that is not. In tones it is an answer of many numbers, no simpler one in its group, that is not larger than what is left.
     """
-    first_um, left_um = found.systematic_um
-    certain = found.lack_of_fit[-1] <= LACK_OF_FIT and left_um > SPOKEN_OF * first_um
-    term, obs = effect.top.term, found.plain.obs
+    first_um, left_um = search.systematic_um
+    certain = search.lack_of_fit[-1] <= LACK_OF_FIT and left_um > SPOKEN_OF * first_um
+    term, obs = effect.top.term, search.plain.obs
     if not certain or obs.there_and_back:
         return False
     numbers = effect.candidates.numbers(term)
@@ -139,27 +139,27 @@ def without_dwarfed(kept: Sequence[Found], bare: Problem, candidates: Candidates
     return [f for f in kept if not is_dwarfed(f)]
 
 
-def hidden_by(doubts: Sequence[Found], found: Search, tests: Tests) -> list[Found]:
+def hidden_by(doubts: Sequence[Found], search: Search, tests: Tests) -> list[Found]:
     """Return the effects smaller than what is doubted whose own laws are not confirmed.
 
     What is not what it seems leaves something of itself, which smaller effects take.
     """
-    doubted_um = localise.systematic_rms_um(found.plain.obs, sum_um(doubts, found.plain.obs))
+    doubted_um = localise.systematic_rms_um(search.plain.obs, sum_um(doubts, search.plain.obs))
     return [
         f
-        for f in found.found
+        for f in search.found
         if f not in doubts
         and f.size_um < doubted_um
         and not all(t.confirmed for t in _over_conditions(tests[f.label][f.label]))
     ]
 
 
-def standing_alone(kept: list[Found], found: Search, bare: Problem, candidates: Candidates) -> list[Found]:
+def standing_alone(kept: list[Found], search: Search, bare: Problem, candidates: Candidates) -> list[Found]:
     """Return the effects without those that do little but beside what is withdrawn: they only make up for it.
 
     ``bare``: the campaign without weights, with what is known.
     """
-    while kept and len(kept) < len(found.found):
+    while kept and len(kept) < len(search.found):
         shares = []
         for f in kept:
             beside = candidates.given(bare, [o.top.term for o in kept if o is not f])
@@ -171,22 +171,22 @@ def standing_alone(kept: list[Found], found: Search, bare: Problem, candidates: 
     return kept
 
 
-def halves_of_lobes(found: Search, bare: Problem, candidates: Candidates) -> list[Found]:
+def halves_of_lobes(search: Search, bare: Problem, candidates: Candidates) -> list[Found]:
     """Return waves along two axes that have one length: on circles of one radius they draw lobes of something else.
 
     ``bare``: the campaign without weights, with what is known.
     """
     obs = bare.obs
-    waves = [f for f in found.found if _length_mm(f)]
+    waves = [f for f in search.found if _length_mm(f)]
     if len(waves) < 2 or not obs.grid.in_plane or len({c.radius_mm for c in obs.conditions}) > 1:
         return []
-    columns = [candidates.whitened(bare, f.top.term) for f in found.found]
+    columns = [candidates.whitened(bare, f.top.term) for f in search.found]
     columns = [c - bare.basis @ (bare.basis.T @ c) for c in columns]
     sizes = np.linalg.lstsq(np.concatenate(columns, axis=1), bare.residual.ravel(), rcond=None)[0]
     parts = np.split(sizes, np.cumsum([c.shape[1] for c in columns])[:-1])
     made_um = {
         f.label: float(np.sqrt(((c @ a) ** 2).sum() / obs.mask.sum()))
-        for f, c, a in zip(found.found, columns, parts, strict=True)
+        for f, c, a in zip(search.found, columns, parts, strict=True)
     }
     return [f for f in waves if _is_half_of_lobes(f, waves, made_um[f.label])]
 
@@ -208,10 +208,10 @@ def _length_mm(effect: Found) -> float:
     return next((float(shape[name]) for name in (_WAVE, PITCH) if name in shape), 0.0)
 
 
-def _is_weak(effect: Found, tests: Sequence[LawTest], found: Search) -> bool:
+def _is_weak(effect: Found, tests: Sequence[LawTest], search: Search) -> bool:
     """Tell whether an effect is small, and what was changed does not confirm its law, or cannot tell."""
     changed = _over_conditions(tests)
-    small = effect.size_um < SPOKEN_OF * found.systematic_um[0]
+    small = effect.size_um < SPOKEN_OF * search.systematic_um[0]
     confirmed = bool(variables(effect.top, tests)[0]) or not changed
     vague = any(not t.confirmed and t.uncertainty > _VAGUE for t in changed)
     return small and (vague or not confirmed)
@@ -231,10 +231,10 @@ def _is_local(effect: Found, obs: Observations) -> bool:
     return bool(np.convolve(power, stretch, mode="valid").max(initial=0.0) > _LOCAL * power.sum())
 
 
-def _hangs_untested(effect: Found, tests: Sequence[LawTest], found: Search) -> bool:
+def _hangs_untested(effect: Found, tests: Sequence[LawTest], search: Search) -> bool:
     """Tell whether an effect that hangs on the mounting could not be compared between mountings."""
     hangs = any(name.startswith(SETUP_COLUMNS) for name in effect.top.term.instance.effect.needs)
-    return hangs and len(found.plain.obs.setups) > 1 and not any(t.variable == "set-up" for t in tests)
+    return hangs and len(search.plain.obs.setups) > 1 and not any(t.variable == "set-up" for t in tests)
 
 
 def _over_conditions(tests: Sequence[LawTest]) -> list[LawTest]:

@@ -38,8 +38,8 @@ def inside(visible: Floats, obs: Observations) -> Floats:
 def along(column: Floats, deviation: Floats, obs: Observations) -> Floats:
     """Return what each run has of the form that a column has in all runs, shape (runs,)."""
     shape = int(obs.run_of.max()) + 1, len(obs.conditions), obs.n_bins
-    forms, found = np.zeros(shape), np.zeros(shape)
+    forms, amounts = np.zeros(shape), np.zeros(shape)
     forms[obs.run_of, obs.condition_of] = column
-    found[obs.run_of, obs.condition_of] = deviation
+    amounts[obs.run_of, obs.condition_of] = deviation
     form = np.linalg.svd(forms.reshape(shape[0], -1), full_matrices=False)[2][0]
-    return np.asarray(found.reshape(shape[0], -1) @ form)
+    return np.asarray(amounts.reshape(shape[0], -1) @ form)

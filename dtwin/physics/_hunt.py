@@ -160,10 +160,10 @@ class Hunt:
     def _grown(self, chosen: list[Entry]) -> list[Entry]:
         while True:
             self.dictionary.add_pitches(chosen)
-            found = self._best(chosen)
-            if found is None or not self._is_worth(found[1], self.left(chosen) - found[1], found[0]):
+            best = self._best(chosen)
+            if best is None or not self._is_worth(best[1], self.left(chosen) - best[1], best[0]):
                 return chosen
-            chosen = [*chosen, found[0]]
+            chosen = [*chosen, best[0]]
 
     def _improved(self, chosen: list[Entry]) -> list[Entry]:
         for _ in range(_MOVES):
@@ -183,14 +183,14 @@ class Hunt:
             own = self.left(rest) - left
             if not self._is_worth(own, left, entry):
                 weakest = min(weakest or (np.inf, rest), (own, rest), key=lambda pair: pair[0])
-            found = self._best(rest)
+            better = self._best(rest)
             if (
-                found is None
-                or found[0] is entry
-                or (found[0].label == entry.label and not is_periodic(entry.term.instance))
+                better is None
+                or better[0] is entry
+                or (better[0].label == entry.label and not is_periodic(entry.term.instance))
             ):
                 continue
-            other = [*rest, found[0]]
+            other = [*rest, better[0]]
             changed = self._cost(other)
             if changed < cost - 1e-9 * self.dictionary.total and (best is None or changed < best[0]):
                 best = changed, other
@@ -205,10 +205,10 @@ class Hunt:
             for j in range(i):
                 rest = [entry for k, entry in enumerate(chosen) if k not in (i, j)]
                 for _ in range(2):
-                    found = self._best(rest)
-                    if found is None:
+                    next_best = self._best(rest)
+                    if next_best is None:
                         break
-                    rest = [*rest, found[0]]
+                    rest = [*rest, next_best[0]]
                     cost = self._cost(rest)
                     if cost < least:
                         best, least = rest, cost
@@ -227,10 +227,10 @@ class Hunt:
         for own in [general, *by_name] if len(by_name) > 1 else by_name:
             rest = [entry for entry in chosen if entry not in own]
             for _ in range(len(own) + 2):
-                found = self._best(rest, min(entry.free for entry in own))
-                if found is None:
+                simpler = self._best(rest, min(entry.free for entry in own))
+                if simpler is None:
                     break
-                rest = [*rest, found[0]]
+                rest = [*rest, simpler[0]]
                 if self.left(rest) < MISFIT * self._noise or self._cost(rest) < self._cost(best):
                     # What was there for what the effect misses is no more needed.
                     best = min(best, self._improved(rest), key=self._cost)

@@ -29,10 +29,10 @@ def kept_columns(instance: Instance, shape: Shape, condition: Hashable, make: Ca
     """
     key = (instance.effect.regressors, instance.label, tuple(sorted(shape.items())), condition)
     with _lock:
-        found = _kept.get(key)
-        if found is not None:
+        columns = _kept.get(key)
+        if columns is not None:
             _kept.move_to_end(key)
-            return found
+            return columns
     made = make()
     made.setflags(write=False)
     global _held_bytes

@@ -203,8 +203,8 @@ def _contrasts(problem: Problem) -> dict[str, Floats]:
     feed = np.log(obs.feed_mm_s)
     radius = np.log(obs.radius_mm)
     direction = obs.sense
-    found = {"feed": feed, "radius": radius, "direction": direction}
-    return {name: values - values.mean() for name, values in found.items() if np.ptp(values) > 0.05}
+    contrasts = {"feed": feed, "radius": radius, "direction": direction}
+    return {name: values - values.mean() for name, values in contrasts.items() if np.ptp(values) > 0.05}
 
 
 def _mountings(obs: Observations) -> list[Floats]:

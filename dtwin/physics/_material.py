@@ -102,16 +102,16 @@ def _material(dictionary: Dictionary, entries: list[Entry], floor_um: float, exa
 
 
 def hidden_by_mask(
-    everywhere: Sequence[Term], found: Sequence[Term], obs: Observations, known: Sequence[Term], problem: Problem
+    everywhere: Sequence[Term], told: Sequence[Term], obs: Observations, known: Sequence[Term], problem: Problem
 ) -> list[Term]:
     """Return the effects that explain much beside those found, and most of it where the search did not look.
 
     ``everywhere``: effects that explain the whole campaign best.
-    ``found``: effects that were found in a part of it.
+    ``told``: effects that were found in a part of it.
     ``known``, ``problem``: what the twin knows, and the whole campaign.
     """
-    whole = dictionary_for(unweighted(problem.obs, known), [*found, *everywhere])
-    chosen = whole.add(found)
+    whole = dictionary_for(unweighted(problem.obs, known), [*told, *everywhere])
+    chosen = whole.add(told)
     have = {entry.label for entry in chosen}
     # Near reversals laws are least exact: what keeps its place there may be any of that.
     usual = [term for term in everywhere if not term.instance.effect.another_law(term.shape)]
@@ -149,34 +149,34 @@ def _is_hidden(coefficients: Floats, obs: Observations) -> bool:
     return bool((um**2)[~obs.mask].sum() > _MOSTLY * (um**2).sum())
 
 
-def _alike(dictionary: Dictionary, found: list[Entry], obs: Observations) -> list[float]:
+def _alike(dictionary: Dictionary, entries: list[Entry], obs: Observations) -> list[float]:
     """Return, for each effect, the sum of squares of all effects in so far as their harmonics are its own."""
     number = harmonic_numbers(obs.n_bins)
-    fitted = [dictionary.fitted([e]).reshape(obs.n_rows, obs.n_bins) for e in found]
+    fitted = [dictionary.fitted([e]).reshape(obs.n_rows, obs.n_bins) for e in entries]
     power = np.array([np.bincount(number, (f**2).sum(axis=0)) for f in fitted])
     share = np.sqrt(power / np.maximum(power.sum(axis=1, keepdims=True), 1e-300))
     sums = ((share @ share.T) ** 2) @ power.sum(axis=1)
-    return np.minimum(sums, dictionary.explained(found)).tolist()
+    return np.minimum(sums, dictionary.explained(entries)).tolist()
 
 
-def _where_it_acts(dictionary: Dictionary, found: list[Entry], obs: Observations) -> list[float]:
+def _where_it_acts(dictionary: Dictionary, chosen: list[Entry], obs: Observations) -> list[float]:
     """Return, for each effect, the sum of squares of all effects, weighted by where round the path it acts most."""
 
     def power(entries: list[Entry]) -> Floats:
         um: Floats = from_harmonics(dictionary.fitted(entries).reshape(obs.n_rows, obs.n_bins))
         return np.asarray((um**2).sum(axis=0))
 
-    of_all = power(found)
-    own = [power([entry]) for entry in found]
+    of_all = power(chosen)
+    own = [power([entry]) for entry in chosen]
     return [float(one @ of_all) / max(float(one.max()), 1e-300) for one in own]
 
 
-def _most_alike(dictionary: Dictionary, found: list[Entry], entry: Entry) -> float:
+def _most_alike(dictionary: Dictionary, entries: list[Entry], entry: Entry) -> float:
     """Return the largest sum of squares of the effects of several shapes that look like one, on its axis."""
     mine = entry.term.instance
     alike = [
         other
-        for other in found
+        for other in entries
         if other.term.instance.axis == mine.axis
         and other.term.instance.effect.name in mine.effect.confusables
         and len(other.term.shape) > 1
@@ -209,15 +209,15 @@ def _beside(dictionary: Dictionary, others: list[Entry], entry: Entry) -> float:
     return dictionary.explained([*others, entry]) - dictionary.explained(others)
 
 
-def _worthwhile(dictionary: Dictionary, found: list[Entry], least: Mapping[str, float]) -> list[Entry]:
+def _worthwhile(dictionary: Dictionary, remaining: list[Entry], least: Mapping[str, float]) -> list[Entry]:
     """Return the best of the effects found where each must explain so much: drop, add and exchange."""
 
     def worth(entries: list[Entry]) -> float:
         return dictionary.explained(entries) - sum(least[e.label] for e in entries)
 
-    chosen, most = found, worth(found)
+    chosen, most = remaining, worth(remaining)
     while True:
-        rest = [e for e in found if e not in chosen]
+        rest = [e for e in remaining if e not in chosen]
         fewer = [chosen[:i] + chosen[i + 1 :] for i in range(len(chosen))]
         moves = [*fewer, *([*entries, e] for entries in [chosen, *fewer] for e in rest)]
         best = max(moves, key=worth, default=chosen)

@@ -67,8 +67,8 @@ def _of_one_size(
     out = []
     for group, where in groups:
         asked = [s.label for s in group if len(group) > 1 and s.label not in differ]
-        found = of_other_sizes(asked, known, campaigns, kind_of[where], library)
-        differ |= {label: label in found for label in asked}
+        of_others = of_other_sizes(asked, known, campaigns, kind_of[where], library)
+        differ |= {label: label in of_others for label in asked}
         kept = tuple(s for s in group if not differ.get(s.label))
         # Where no name has one size there is more than one cause, or the machine has changed.
         out.append((graded(kept or group), where))

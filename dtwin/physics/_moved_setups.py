@@ -43,44 +43,44 @@ def beside_moves(
     obs: Observations,
     known: Sequence[Term],
     library: Mapping[str, Effect],
-    found: Diagnosis,
+    diagnosis: Diagnosis,
     again: Callable[[Observations], Diagnosis],
 ) -> Diagnosis:
     """Return what is found where the runs of each feed have a centre of their own, if set-ups moved between feeds; else what was found.
 
-    ``found``: where each set-up has one centre; ``again``: returns the diagnosis of other runs.
+    ``diagnosis``: where each set-up has one centre; ``again``: returns the diagnosis of other runs.
     """
-    if not obs.grid.in_plane or found.unresolved is None:
-        return found
-    moved = _moves(obs, _with_found(known, found, library), range(len(obs.setups)), found.noise_floor_um)
+    if not obs.grid.in_plane or diagnosis.unresolved is None:
+        return diagnosis
+    moved = _moves(obs, _with_found(known, diagnosis, library), range(len(obs.setups)), diagnosis.noise_floor_um)
     if not moved:
-        return found
+        return diagnosis
     own = {move.setup for move in moved}
     other = again(_by_feed(obs, own))
     terms = _with_found(known, other, library)
-    moved = [move for move in _moves(obs, terms, own, found.noise_floor_um) if move.um > move.unsure_um]
+    moved = [move for move in _moves(obs, terms, own, diagnosis.noise_floor_um) if move.um > move.unsure_um]
     left_um = 0.0 if other.unresolved is None else other.unresolved.systematic_rms_um
-    if not moved or left_um**2 > _LESS * found.unresolved.systematic_rms_um**2:
-        return found
+    if not moved or left_um**2 > _LESS * diagnosis.unresolved.systematic_rms_um**2:
+        return diagnosis
     left = localise.residual_um(obs, terms)
     words = "; ".join(str(move) for move in moved) + "; give runs after a move a set-up of another name"
     rms_um = localise.systematic_rms_um(obs, left)
-    share = min(1.0, (rms_um / max(found.systematic_rms_um, 1e-9)) ** 2)
-    unresolved = Unresolved(rms_um, share, found.unresolved.p_value, words, localise.worst_places(obs, left))
+    share = min(1.0, (rms_um / max(diagnosis.systematic_rms_um, 1e-9)) ** 2)
+    unresolved = Unresolved(rms_um, share, diagnosis.unresolved.p_value, words, localise.worst_places(obs, left))
     return replace(
         other,
         verdict=other.verdict if other.found else "unknown_effect",
         headline=f"{other.headline}; {words}" if other.found else words,
         unresolved=unresolved,
-        residual_rms_um=found.residual_rms_um,
-        systematic_rms_um=found.systematic_rms_um,
-        lack_of_fit_p=found.lack_of_fit_p,
-        where=found.where,
+        residual_rms_um=diagnosis.residual_rms_um,
+        systematic_rms_um=diagnosis.systematic_rms_um,
+        lack_of_fit_p=diagnosis.lack_of_fit_p,
+        where=diagnosis.where,
     )
 
 
-def _with_found(known: Sequence[Term], found: Diagnosis, library: Mapping[str, Effect]) -> list[Term]:
-    tops = [group[0] for group in found.found]
+def _with_found(known: Sequence[Term], diagnosis: Diagnosis, library: Mapping[str, Effect]) -> list[Term]:
+    tops = [group[0] for group in diagnosis.found]
     return [*known, *(Term(Instance(library[top.effect], top.axis), top.shape) for top in tops)]
 
 

@@ -42,22 +42,22 @@ def nameless(problem: Problem, candidates: Candidates, believed: Sequence[Term])
     return [entry.term for entry in chosen if entry.term.instance in offered]
 
 
-def simpler_law(problem: Problem, candidates: Candidates, found: Sequence[Term]) -> tuple[list[Term], list[Term]]:
+def simpler_law(problem: Problem, candidates: Candidates, terms: Sequence[Term]) -> tuple[list[Term], list[Term]]:
     """Return the law that in place of one or two effects leaves less with fewer numbers, and the other effects; nothing where none does.
 
     ``problem``: whitened campaign with what the twin knows.
     """
-    few = dictionary_for(problem, found)
-    chosen = few.add(found)
+    few = dictionary_for(problem, terms)
+    chosen = few.add(terms)
     all_explain, best = few.explained(chosen), None
     # Most effects have more harmonics than one law: no law needs to be tried in their place.
     rests = [rest for rest in _with_two_less(chosen) if few.explained(rest) + _in_one_harmonic(few, rest) > all_explain]
     if not rests:
         return [], []
-    differ = [t.instance for t in found if not candidates.obs.is_alike_in_repeats(t.instance)]
+    differ = [t.instance for t in terms if not candidates.obs.is_alike_in_repeats(t.instance)]
     laws = Dictionary(problem, candidates.only([*differ, *_offered(problem, candidates)]))
     numbers = [n for n, entry in enumerate(laws.entries) if entry.term.instance.effect.source == LEARNED]
-    there = {entry.label: entry for entry in laws.add(found)}
+    there = {entry.label: entry for entry in laws.add(terms)}
     for rest in rests:
         beside = [there[entry.label] for entry in rest if entry.label in there]
         gains = laws.gains(beside)

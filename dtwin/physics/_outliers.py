@@ -47,10 +47,10 @@ def odd_runs(problem: Problem) -> list[int]:
         members = np.flatnonzero(obs.condition_of == condition)
         for row in members if len(members) > 2 else ():
             others = members[members != row]
-            found = [_gap_and_spread(part[row], part[others]) for part in parts]
+            measures = [_gap_and_spread(part[row], part[others]) for part in parts]
             rows.append(int(row))
-            gaps.append([gap for gap, _ in found])
-            spreads.append([spread for _, spread in found])
+            gaps.append([gap for gap, _ in measures])
+            spreads.append([spread for _, spread in measures])
     if not rows:
         return []
     gap, spread = np.array(gaps), np.maximum(np.array(spreads), 1e-300)

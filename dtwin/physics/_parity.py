@@ -130,9 +130,9 @@ def _as_shown(groups: Sequence[Sequence[Suspect]]) -> list[Suspect]:
 
 def _leaders(groups: Sequence[Sequence[Suspect]], search: Search) -> list[Found]:
     """Return what a search found of each group; another member may give the group its name."""
-    found = {f.label: f for f in search.found}
+    by_label = {f.label: f for f in search.found}
     return [
-        next(found[s.label] for s in group if s.label in found)
+        next(by_label[s.label] for s in group if s.label in by_label)
         for group in groups
-        if {s.label for s in group} & set(found)
+        if {s.label for s in group} & set(by_label)
     ]

@@ -214,10 +214,10 @@ def _group(
     """
     group, hidden = [top], set()
     beside = problem.extended(top.visible, candidates.whitened(problem, top.term))
-    for found in sorted(rivals, key=lambda c: -c.score.gain):
-        if found.score.gain < _NEAR * top.score.gain:
+    for rival in sorted(rivals, key=lambda c: -c.score.gain):
+        if rival.score.gain < _NEAR * top.score.gain:
             continue
-        other = refined_candidate(problem, few, candidates, found, level)
+        other = refined_candidate(problem, few, candidates, rival, level)
         if other.score.gain < _GROUP_GAIN * top.score.gain:
             continue
         plainer = in_part and candidates.numbers(other.term) < candidates.numbers(top.term)

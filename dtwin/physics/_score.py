@@ -186,12 +186,12 @@ def noise_level(problem: Problem, probes: Floats) -> NoiseLevel:
     local = problem.local_variance
     angle = from_harmonics(z)
     foretold = np.einsum("nq,nqk,nqk->k", local, angle, angle)
-    found = (summed**2).sum(axis=0)
-    usable = (found > 0) & (foretold > 0)
+    power = (summed**2).sum(axis=0)
+    usable = (power > 0) & (foretold > 0)
     if usable.sum() < 8:
         return NoiseLevel()
     dofs = _satterthwaite(summed[:, usable] ** 2, obs.run_of, obs.condition_of, count, lost=0)
-    logs = np.log(found[usable] / foretold[usable])
+    logs = np.log(power[usable] / foretold[usable])
     bias = np.log(dofs / 2.0) - polygamma(0, dofs / 2.0)
     spread = float(np.var(logs, ddof=1) - np.mean(polygamma(1, dofs / 2.0)))
     # With few repeats the tests lean on noise that is taken to be alike in all conditions.
@@ -216,11 +216,11 @@ def misfit(problem: Problem) -> Floats | None:
         return None
     pure = (deviation[of > 1] ** 2).mean(axis=0)
     of_mean = pure * (1.0 / count[repeated]).mean()
-    found = smoothed((means**2).mean(axis=0) - of_mean)
+    shared = smoothed((means**2).mean(axis=0) - of_mean)
     # Gaussian noise alone varies by so much.
     chance = float(np.sqrt(2.0 * len(pure) / len(means)) * of_mean.mean())
-    certain = found.sum() > max(_MISFIT * pure.mean() * len(pure), _SURE * chance)
-    return np.maximum(found, 0.0) if certain else None
+    certain = shared.sum() > max(_MISFIT * pure.mean() * len(pure), _SURE * chance)
+    return np.maximum(shared, 0.0) if certain else None
 
 
 def lack_of_fit(problem: Problem, residual: Floats, seed: int) -> float:
@@ -239,15 +239,15 @@ def lack_of_fit(problem: Problem, residual: Floats, seed: int) -> float:
     n_conditions = len(set(obs.condition_of.tolist()))
     if runs - n_conditions >= _FEW_DOF:
         grams = np.array([(residual[:, band] @ residual[:, band].T) * pairs for band in bands])
-        found = grams.sum(axis=(1, 2))
+        agreed = grams.sum(axis=(1, 2))
         signs = rng.choice([-1.0, 1.0], size=(_FLIPS, runs))[:, obs.run_of]
         drawn = np.array([((signs @ gram) * signs).sum(axis=1) for gram in grams]).T
     else:
-        found = _agreed(residual[:, None], obs.condition_of, pairs, bands)[0]
+        agreed = _agreed(residual[:, None], obs.condition_of, pairs, bands)[0]
         drawn = _gaussian_draws(problem, pairs, bands, rng)
     # The largest of the standardised bands, against the same of the draws.
     centre, scale = drawn.mean(axis=0), np.maximum(drawn.std(axis=0), 1e-300)
-    most = float(((found - centre) / scale).max())
+    most = float(((agreed - centre) / scale).max())
     drawn_most = ((drawn - centre) / scale).max(axis=1)
     return float((1 + (drawn_most >= most).sum()) / (len(drawn_most) + 1))
 

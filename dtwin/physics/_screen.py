@@ -67,7 +67,7 @@ def screen_channels(problem: Problem, seed: int) -> list[Channel]:
     _, of_row = np.unique(obs.clusters, return_inverse=True)
     others = _Others(problem, of_row, np.random.default_rng(seed))
     ways = np.stack([np.ones(obs.n_rows), obs.feed_mm_s / obs.feed_mm_s.mean()])
-    found: list[Channel] = []
+    moving: list[Channel] = []
     while channels:
         tested = {name: _test(spread, values, ways, others) for name, values in channels.items()}
         ranked = sorted(tested, key=lambda name: (tested[name][0], -tested[name][1]))
@@ -77,14 +77,14 @@ def screen_channels(problem: Problem, seed: int) -> list[Channel]:
             break
         chosen = channels.pop(best)
         instead = tuple(name for name, values in channels.items() if _alike(values, chosen))
-        found.append(Channel(best, p_value, tested[best][1], instead))
+        moving.append(Channel(best, p_value, tested[best][1], instead))
         for way in ways if np.ptp(ways[1]) > 0.0 else ways[:1]:
             spread = _without(spread, chosen * way)
         others.leave_out(chosen)
         channels = {
             name: _without(values[:, None], chosen)[:, 0] for name, values in channels.items() if name not in instead
         }
-    return found
+    return moving
 
 
 def with_foreign(problem: Problem, channels: Sequence[Channel], library: Mapping[str, Effect]) -> Problem:
@@ -114,16 +114,16 @@ def _test(spread: Floats, values: Floats, ways: Floats, others: _Others) -> tupl
     The best way for the channel to act counts, as it was measured and as it might have been.
     """
     gram = spread @ spread.T
-    found = max(float(v @ gram @ v / (v @ v)) for v in values * ways)
+    largest = max(float(v @ gram @ v / (v @ v)) for v in values * ways)
     might = others.drawn(values)
     drawn = np.zeros(len(might))
     for way in ways:
         v = might * way
         power = np.einsum("di,di->d", v @ gram, v)
         drawn = np.maximum(drawn, power / np.maximum((v**2).sum(axis=1), 1e-300))
-    share = found / max(float(np.trace(gram)), 1e-300)
+    share = largest / max(float(np.trace(gram)), 1e-300)
     # The order that was measured is one of the permutations and must count as one.
-    reached = drawn >= found * (1.0 - 1e-9)
+    reached = drawn >= largest * (1.0 - 1e-9)
     return float((1 + reached.sum()) / (len(drawn) + 1)), share
 
 

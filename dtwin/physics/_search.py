@@ -81,7 +81,7 @@ class Search:
         return 1.0 - (last / first) ** 2 if first > 0.0 else 1.0
 
 
-def search(
+def search_effects(
     problem: Problem,
     plain: Problem,
     candidates: Candidates,
@@ -134,13 +134,13 @@ def search(
             sharp = hidden_by_mask(best.everywhere, terms, obs, known, problem)
             sharp = _significant(sharp, beside_them, candidates, first)
     tell(f"{problem.obs.campaign.name}: {len(terms) + len(sharp)} effects, each beside the others")
-    found = _described(terms, sharp, stand_ins, told, library, problem, plain, candidates)
+    effects = _described(terms, sharp, stand_ins, told, library, problem, plain, candidates)
     terms = [*terms, *sharp]
     last, plain_last = candidates.given(problem, terms), candidates.given(plain, terms)
     end = lack_of_fit(last, last.residual, seed) if terms else fit
     left_um = systematic_rms_um(problem.obs, in_angle(plain_last))
     return Search(
-        found,
+        effects,
         first,
         last,
         plain_last,
@@ -163,7 +163,7 @@ def _described(
     candidates: Candidates,
 ) -> tuple[Found, ...]:
     """Return what was found away from reversals, and beside it what happens at reversals."""
-    found = (
+    effects = (
         described(
             terms,
             stand_ins,
@@ -177,10 +177,10 @@ def _described(
         else described(terms, stand_ins, told, library, problem, plain, candidates)
     )
     if not sharp:
-        return found
+        return effects
     beside = candidates.given(problem, terms)
     at = described(sharp, {}, beside, candidates, beside, candidates.given(plain, terms), candidates)
-    return tuple(sorted([*found, *at], key=lambda f: -f.size_um))
+    return tuple(sorted([*effects, *at], key=lambda f: -f.size_um))
 
 
 def adjusted(tested: Sequence[Candidate], obs: Observations) -> dict[str, float]:
@@ -197,12 +197,12 @@ def adjusted(tested: Sequence[Candidate], obs: Observations) -> dict[str, float]
 def _tested(problem: Problem, candidates: Candidates, shown_by_channel: bool) -> _Test:
     level = noise_level(problem, probes(problem))
     dictionary = Dictionary(problem, candidates)
-    found, invisible = in_best_shapes(dictionary, [], problem, level)
-    p_values = adjusted(found, problem.obs)
+    tested, invisible = in_best_shapes(dictionary, [], problem, level)
+    p_values = adjusted(tested, problem.obs)
     if shown_by_channel:
-        within = [c for c in found if c.term.instance.effect.within_condition]
+        within = [c for c in tested if c.term.instance.effect.within_condition]
         p_values |= adjusted(within, problem.obs)
-    return _Test(dictionary, level, tuple(found), p_values, tuple(invisible))
+    return _Test(dictionary, level, tuple(tested), p_values, tuple(invisible))
 
 
 def _leading(test: _Test, plain: Problem, candidates: Candidates) -> Candidate | None:
@@ -214,11 +214,11 @@ def _leading(test: _Test, plain: Problem, candidates: Candidates) -> Candidate |
         if test.p_values[c.term.label] <= _ALPHA and _is_material(plain, candidates, c.term, problem)
     ]
     runs = int(problem.obs.run_of.max()) + 1
-    for found in sorted(significant, key=lambda c: -_worth(c, runs, problem.obs.several_speeds))[:_LEADING]:
-        gain = left_out_gain(problem, candidates.whitened(problem, found.term))
+    for candidate in sorted(significant, key=lambda c: -_worth(c, runs, problem.obs.several_speeds))[:_LEADING]:
+        gain = left_out_gain(problem, candidates.whitened(problem, candidate.term))
         # Between the shapes of the grid, what rings comes out of step at the other feeds.
-        best = refined_candidate(problem, test.dictionary.campaign, candidates, found, test.level)
-        if gain <= 0.0 and best is not found:
+        best = refined_candidate(problem, test.dictionary.campaign, candidates, candidate, test.level)
+        if gain <= 0.0 and best is not candidate:
             gain = left_out_gain(problem, candidates.whitened(problem, best.term))
         if gain > 0.0:
             return best

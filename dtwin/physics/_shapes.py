@@ -47,7 +47,7 @@ def refined(
     ranges = [_bounds(shapes, begun[part], bounded, um) for shapes, part, um in zip(free, parts, sizes_um, strict=True)]
     low, high = (np.concatenate(ends) for ends in zip(*ranges, strict=True))
     before = float((projected.left(begun) ** 2).sum())
-    found = scipy.optimize.least_squares(
+    solution = scipy.optimize.least_squares(
         projected.left,
         begun,
         projected.slopes,
@@ -56,9 +56,9 @@ def refined(
         max_nfev=_FEW if bounded else _MOST,
         ftol=max(1e-6, min(0.1, enough / max(before, 1e-300))),
     )
-    if 2.0 * found.cost >= before:
+    if 2.0 * solution.cost >= before:
         return tuple(terms)
-    new = {t.label: _at(t, shapes, found.x[part]) for t, shapes, part in zip(shaped, free, parts, strict=True)}
+    new = {t.label: _at(t, shapes, solution.x[part]) for t, shapes, part in zip(shaped, free, parts, strict=True)}
     return tuple(new.get(term.label, term) for term in terms)
 
 

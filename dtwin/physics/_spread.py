@@ -35,7 +35,7 @@ def spread_of(obs: Observations, residual_um: Floats, library: Mapping[str, Effe
     if len(rows) < 6:
         return None
     power = (deviation[rows] ** 2).sum(axis=1) / obs.mask[rows].sum(axis=1)
-    found: dict[str, float] = {}
+    depends: dict[str, float] = {}
     feed = np.log(obs.feed_mm_s[rows])
     if np.ptp(feed) > 0.05:
         size = 0.5 * np.log(power)
@@ -43,15 +43,15 @@ def spread_of(obs: Observations, residual_um: Floats, library: Mapping[str, Effe
         if abs(slope) > _MATERIAL_EXPONENT:
             r = min(abs(float(np.corrcoef(feed, size)[0, 1])), 1.0 - 1e-12)
             dof = len(rows) - 2
-            found["feed"] = 2.0 * t_tail(r * math.sqrt(dof / (1.0 - r**2)), dof)
+            depends["feed"] = 2.0 * t_tail(r * math.sqrt(dof / (1.0 - r**2)), dof)
     geometry = obs.campaign.machine_geometry
     for instance in campaign_instances(library, obs.grid.kind, obs.planes, obs.axes, geometry):
         if instance.effect.on_spread:
-            found[instance.label] = _local(obs, deviation, rows, instance)
-    if not found:
+            depends[instance.label] = _local(obs, deviation, rows, instance)
+    if not depends:
         return None
-    adjusted = dict(zip(found, holm(list(found.values())).tolist(), strict=True))
-    named = sorted((n for n, p in adjusted.items() if p < _ALPHA), key=found.__getitem__)
+    adjusted = dict(zip(depends, holm(list(depends.values())).tolist(), strict=True))
+    named = sorted((n for n, p in adjusted.items() if p < _ALPHA), key=depends.__getitem__)
     return Spread(tuple(named), adjusted[named[0]]) if named else None
 
 

@@ -39,9 +39,9 @@ def sized(
         own = terms[number]
         for other in sorted((s.label for s in group if s.label not in sizes), key=lambda n: _numbers(own[n]))[:1]:
             instead = [*leads[:number], other, *leads[number + 1 :]]
-            found = _sizes(obs, known, terms, instead)
-            if _is_told(found[other]):
-                leads, sizes = instead, found
+            fitted = _sizes(obs, known, terms, instead)
+            if _is_told(fitted[other]):
+                leads, sizes = instead, fitted
     return tuple(
         tuple(
             replace(s, sizes=sizes[lead]) if s.label == lead else s
@@ -72,22 +72,22 @@ def _numbers(term: Term) -> int:
 
 
 def members(
-    effect: Found, tests: Mapping[str, Sequence[LawTest]], found: Search, candidates: Candidates, known: Sequence[Term]
+    effect: Found, tests: Mapping[str, Sequence[LawTest]], search: Search, candidates: Candidates, known: Sequence[Term]
 ) -> tuple[Suspect, ...]:
     """Return an effect that was found and what cannot be told from it."""
     left = survivors(effect, tests)
     labels = [c.term.label for c in effect.group]
-    bare = unweighted(found.last.obs, known)
+    bare = unweighted(search.last.obs, known)
     out = []
     for candidate in left[:SHOWN]:
         own = tests.get(candidate.term.label, ())
         tested, untested = variables(candidate, own)
-        own_case = suspect(candidate, bare, found, candidates, effect.gain)
+        own_case = suspect(candidate, bare, search, candidates, effect.gain)
         out.append(
             replace(
                 own_case,
                 # Alone, or beside all others that were found and for every effect that was tried.
-                p_value=min(own_case.p_value, candidate.score.p_value * len(found.first.candidates)),
+                p_value=min(own_case.p_value, candidate.score.p_value * len(search.first.candidates)),
                 in_group=True,
                 grade=grade_of(candidate, own, len(left) == 1),
                 confounded_with=tuple(sorted(set(labels) - {candidate.term.label})),
@@ -101,7 +101,7 @@ def members(
 
 
 def suspects(
-    found: Search,
+    search: Search,
     candidates: Candidates,
     known: Sequence[Term],
     groups: Sequence[Sequence[Suspect]],
@@ -112,28 +112,28 @@ def suspects(
     labels = {s.label for s in named}
     first = [replace(s, in_group=True) for s in (groups[0] if groups else ())]
     others = [replace(s, in_group=False) for group in groups[1:] for s in group]
-    rest = sorted((c for c in found.first.candidates if c.term.label not in labels), key=lambda c: -c.score.gain)
+    rest = sorted((c for c in search.first.candidates if c.term.label not in labels), key=lambda c: -c.score.gain)
     room = max(0, SHOWN - len(named))
-    bare = unweighted(found.last.obs, known)
+    bare = unweighted(search.last.obs, known)
     others += withdrawn
-    return (*first, *others, *(suspect(c, bare, found, candidates, None) for c in rest[:room]))
+    return (*first, *others, *(suspect(c, bare, search, candidates, None) for c in rest[:room]))
 
 
-def suspect(candidate: Candidate, bare: Problem, found: Search, candidates: Candidates, gain: float | None) -> Suspect:
+def suspect(candidate: Candidate, bare: Problem, search: Search, candidates: Candidates, gain: float | None) -> Suspect:
     """Return an effect as it stands beside what the twin knows."""
     effect = candidate.term.instance.effect
     visible = candidates.visible(bare, candidate.term)
     after = bare.extended(visible, candidates.whitened(bare, candidate.term))
-    problem = found.first.problem
+    problem = search.first.problem
     if gain is None:
         gain = left_out_gain(problem, candidates.whitened(problem, candidate.term))
-    total = max(found.systematic_um[0] ** 2 * float(bare.obs.mask.sum()), 1e-18)
+    total = max(search.systematic_um[0] ** 2 * float(bare.obs.mask.sum()), 1e-18)
     return Suspect(
         effect=effect.name,
         axis=candidate.term.instance.axis,
         rms_after_um=bare.obs.rms(localise.in_angle(after)),
         cv_gain=gain,
-        p_value=found.first.p_values.get(candidate.term.label, candidate.score.p_value),
+        p_value=search.first.p_values.get(candidate.term.label, candidate.score.p_value),
         in_group=False,
         grade=None,
         confounded_with=(),
@@ -144,14 +144,14 @@ def suspect(candidate: Candidate, bare: Problem, found: Search, candidates: Cand
     )
 
 
-def closest(found: Search, candidates: Candidates) -> str | None:
+def closest(search: Search, candidates: Candidates) -> str | None:
     """Return the simplest effect that explains nearly as much as any; of those that few runs do not tell, the one that explains most."""
-    untold = [c for c in found.first.candidates if c.term.label in found.untold]
+    untold = [c for c in search.first.candidates if c.term.label in search.untold]
     if untold:
         # They act between repeats: nothing of what repeats agree on is theirs.
         return max(untold, key=lambda c: c.score.gain).term.label
-    terms = [c.term for c in found.first.candidates]
-    explains_um = {term.label: candidates.size_um(found.plain, term) for term in terms}
+    terms = [c.term for c in search.first.candidates]
+    explains_um = {term.label: candidates.size_um(search.plain, term) for term in terms}
     most_um = max(explains_um.values(), default=0.0)
     near = [term for term in terms if most_um > 0.0 and explains_um[term.label] > _NEARLY * most_um]
     return min(near, key=lambda t: (candidates.numbers(t), -explains_um[t.label])).label if near else None

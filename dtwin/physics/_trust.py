@@ -30,7 +30,7 @@ _TINY = 0.25
 _APART = 0.4
 
 
-def trusted(found: Search, doubted: Sequence[Found], much: bool) -> list[Found]:
+def trusted(search: Search, doubted: Sequence[Found], much: bool) -> list[Found]:
     """Return the effects that are not a part of something unknown that looks like them.
 
     What is unknown is what is left, where that is much, and what the effects do whose laws do not
@@ -39,11 +39,11 @@ def trusted(found: Search, doubted: Sequence[Found], much: bool) -> list[Found]:
     or its amplitude follows its own law and not that of what is unknown, it is none of it, unless
     it is tiny beside it.
     """
-    obs = found.plain.obs
-    unknown = localise.in_angle(found.plain) * float(much)
+    obs = search.plain.obs
+    unknown = localise.in_angle(search.plain) * float(much)
     least_um = _TINY * _rms_um(localise.condition_means(obs, unknown))
     unknown = _LARGER * unknown + sum_um(doubted, obs)
-    kept = [f for f in found.found if f not in doubted]
+    kept = [f for f in search.found if f not in doubted]
     # What moves with a channel, but not as the library says, may also stand still in part.
     moving = [f for f in doubted if f.top.term.instance.effect.within_condition]
     if moving:

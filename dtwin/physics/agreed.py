@@ -169,8 +169,8 @@ def contradicting(
     """
     parts = [_inexact(part.shared()) for part in parts]
     groups: dict[tuple[int, Quantity], int] = {}
-    found: list[Contradiction] = []
-    while len(found) < _MOST:
+    contradictions: list[Contradiction] = []
+    while len(contradictions) < _MOST:
         tests = [
             test
             for quantity in dict.fromkeys(q for part in parts for q in part.of if q is not None)
@@ -185,7 +185,7 @@ def contradicting(
         worst = max(surely, key=lambda test: test.times)
         mine = _among(parts, groups, worst.quantity)
         rivals = _rivals(parts, groups, worst, tests)
-        found.append(_told(worst, mine, begun, rivals))
+        contradictions.append(_told(worst, mine, begun, rivals))
         names = [c for one in begun for c in one]
         days = [day for _, day in names]
         ours, theirs = (
@@ -194,7 +194,7 @@ def contradicting(
         moved = worst.side if stays(theirs, ours, days) else mine - worst.side
         new = 1 + max(groups.values(), default=0)
         groups |= {(p, worst.quantity): new for p in moved}
-    return groups, tuple(found)
+    return groups, tuple(contradictions)
 
 
 def _inexact(sizes: Sizes) -> Sizes:

@@ -81,10 +81,10 @@ class Candidates:
 
     def tested_term(self, problem: Problem, term: Term, level: NoiseLevel) -> Candidate | None:
         """Test an effect in one shape; None when it cannot be seen beside what is known."""
-        found = self.together(problem, term, level)
-        if found is None or not term.instance.effect.within_condition or found.visible.shape[1] == 1:
-            return found
-        return found.with_p_value(min(found.score.p_value, self._one_by_one(problem, term, level)))
+        candidate = self.together(problem, term, level)
+        if candidate is None or not term.instance.effect.within_condition or candidate.visible.shape[1] == 1:
+            return candidate
+        return candidate.with_p_value(min(candidate.score.p_value, self._one_by_one(problem, term, level)))
 
     def _one_by_one(self, problem: Problem, term: Term, level: NoiseLevel) -> float:
         """Return the p-value of the most significant column of what moves between runs, by Bonferroni.
@@ -99,8 +99,8 @@ class Candidates:
 
     def at(self, problem: Problem, candidate: Candidate, term: Term, level: NoiseLevel) -> Candidate:
         """Return a candidate at another shape; its p-value stays that of all shapes tried."""
-        found = self.together(problem, term, level)
-        return candidate if found is None else found.with_p_value(candidate.score.p_value)
+        tested = self.together(problem, term, level)
+        return candidate if tested is None else tested.with_p_value(candidate.score.p_value)
 
     def together(self, problem: Problem, term: Term, level: NoiseLevel) -> Candidate | None:
         """Test all columns of an effect in one shape together; None when none can be seen beside what is known."""
@@ -282,12 +282,12 @@ def _pitches_along(obs: Observations, um: Floats, n: int) -> list[float]:
         power[(np.abs(rate[:, None] - turns) < 1.0 / travel_mm).any(axis=1)] = 0.0
     chance = (_BY_CHANCE / independent_pitches(obs)) ** (2.0 / max(len(at_mm) - _WAVE, 1))
     may_leave = {True: chance, False: min(chance, _CLEARLY * (1.0 - longer))}
-    found: dict[float, float] = {}
+    shares: dict[float, float] = {}
     for part, left in may_leave.items():
         here = (resolved == part) & (rate > 1.0 / _SCREW_MM)
         explained = {mm: _explained(mean, at_mm / mm) for mm in _peaks(rate[here], power[here], n)}
-        found |= {mm: share for mm, share in explained.items() if share > 1.0 - left}
-    return sorted(found, key=found.__getitem__, reverse=True)[:n]
+        shares |= {mm: share for mm, share in explained.items() if share > 1.0 - left}
+    return sorted(shares, key=shares.__getitem__, reverse=True)[:n]
 
 
 def _explained(um: Floats, turns: Floats) -> float:

@@ -279,8 +279,8 @@ def _at(wanted_deg: Floats, angle_deg: Floats, value: Floats) -> Floats:
     angle, value = (angle_deg % 360.0)[order], value[order]
     gap, beside = _gaps(angle)
     within = gap <= np.maximum(_LARGEST_GAP_DEG, _UNEVEN * beside)
-    found = np.interp(wanted_deg, angle, value, period=360.0)
-    return np.asarray(np.where(within[np.searchsorted(angle, wanted_deg % 360.0) - 1], found, np.nan))
+    values = np.interp(wanted_deg, angle, value, period=360.0)
+    return np.asarray(np.where(within[np.searchsorted(angle, wanted_deg % 360.0) - 1], values, np.nan))
 
 
 def _arc_deg(angle_deg: Floats) -> float:

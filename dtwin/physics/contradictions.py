@@ -87,8 +87,8 @@ def without_contradictions(fitted: SeveralFit, started: Sequence[str]) -> tuple[
 
     ``started``: when each campaign was begun, ISO 8601; empty where that is not stated.
     """
-    found: list[Contradiction] = []
-    while len(found) < _MOST:
+    contradictions: list[Contradiction] = []
+    while len(contradictions) < _MOST:
         pool = by_floors(fitted.pool)
         worst = _worst(pool, started)
         if worst is None:
@@ -98,9 +98,9 @@ def without_contradictions(fitted: SeveralFit, started: Sequence[str]) -> tuple[
         new = 1 + max(groups.values(), default=0)
         moved = worst.side if stays(mine - worst.side, worst.side, started) else mine - worst.side
         groups |= {(c, worst.term): new for c in moved}
-        found.append(replace(_told(worst, pool, mine, started), rivals=_rivals(pool, worst)))
+        contradictions.append(replace(_told(worst, pool, mine, started), rivals=_rivals(pool, worst)))
         fitted = regrouped(fitted, groups)
-    return fitted, (*found, *_of_waves(fitted, started))
+    return fitted, (*contradictions, *_of_waves(fitted, started))
 
 
 def _of_waves(fitted: SeveralFit, started: Sequence[str]) -> list[Contradiction]:
@@ -254,23 +254,23 @@ def _base(pool: Pool, beyond: _Side, wanted: Sequence[int]) -> list[Floats]:
     return [np.concatenate([m, float(c in beyond) * m[:, wanted]], axis=1) for c, m in enumerate(maps)]
 
 
-def _rivals(pool: Pool, found: _Tested) -> tuple[str, ...]:
+def _rivals(pool: Pool, tested: _Tested) -> tuple[str, ...]:
     """Return the effects beside which, were they to differ, what was found among equal tests is none."""
-    if not found.beyond:
+    if not tested.beyond:
         return ()
     _, meaning = pool.maps()
-    among = frozenset(range(len(pool.parts))) - found.beyond
+    among = frozenset(range(len(pool.parts))) - tested.beyond
     shared = [n for n, (t, _, w) in enumerate(meaning) if t >= 0 and w == -1 and is_shared(pool.terms[t], pool.terms)]
     seen = [n for n in shared if among <= _with_term(pool, meaning[n][0])]
-    mine = next(n for n in shared if meaning[n][:2] == (found.term, found.parameter))
-    base = _base(pool, found.beyond, seen)
+    mine = next(n for n in shared if meaning[n][:2] == (tested.term, tested.parameter))
+    base = _base(pool, tested.beyond, seen)
     out = []
     for n in seen:
         term = meaning[n][0]
-        if term == found.term or term in found.beside:
+        if term == tested.term or term in tested.beside:
             continue
-        told = _wald(pool, found.side, found.beyond, base, [n, mine], ())
-        if all(t.p_value > _ALPHA for t in told if (t.term, t.parameter) == (found.term, found.parameter)):
+        told = _wald(pool, tested.side, tested.beyond, base, [n, mine], ())
+        if all(t.p_value > _ALPHA for t in told if (t.term, t.parameter) == (tested.term, tested.parameter)):
             out.append(pool.terms[term].label)
     return tuple(dict.fromkeys(out))
 

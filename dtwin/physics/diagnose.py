@@ -39,7 +39,7 @@ from dtwin.physics._outliers import odd_of_two, odd_runs
 from dtwin.physics._parity import Curve, curves_left, joined
 from dtwin.physics._score import HIGHEST_HARMONIC
 from dtwin.physics._screen import Channel, is_foreign, screen_channels, with_foreign
-from dtwin.physics._search import Search, search
+from dtwin.physics._search import Search, search_effects
 from dtwin.physics._spread import spread_of, unsteady
 from dtwin.physics._suspects import closest, members, sized, suspect, suspects
 from dtwin.physics._trust import sum_um, trusted
@@ -122,8 +122,8 @@ def _diagnosed(obs: Observations, known: Sequence[Term], library: Mapping[str, E
     places = local(problem, candidates) if obs.there_and_back and answer.verdict not in _NOTHING else []
     if places:
         beside_them = [*known, *places]
-        found = searched(beside(weighted_like(obs, beside_them, noise)), beside_them)
-        other = concluded(found, first, places)
+        beside_laws = searched(beside(weighted_like(obs, beside_them, noise)), beside_them)
+        other = concluded(beside_laws, first, places)
         return other if other.found else concluded(first, first, places, none=True)
     left = answer.unresolved
     much = left is not None and left.share >= _UNKNOWN**2
@@ -147,12 +147,12 @@ def _diagnosed(obs: Observations, known: Sequence[Term], library: Mapping[str, E
     if not unknown:
         return answer
     beside_them = [*known, *unknown]
-    found = searched(beside(weighted_like(obs, beside_them, noise)), beside_them)
-    other = concluded(found, first, unknown, believed)
+    beside_laws = searched(beside(weighted_like(obs, beside_them, noise)), beside_them)
+    other = concluded(beside_laws, first, unknown, believed)
     if other.found:
         return other
     # One law without a name that leaves nothing is better than effects that leave much, and are not seen beside it.
-    explains_all = len(unknown) == 1 and not found.found and found.lack_of_fit[0] > _FIT_IS_DOUBTFUL
+    explains_all = len(unknown) == 1 and not beside_laws.found and beside_laws.lack_of_fit[0] > _FIT_IS_DOUBTFUL
     return concluded(first, first, none=True) if simpler or explains_all else answer
 
 
@@ -175,7 +175,7 @@ def _searched(
     ``curve``: takes out of a problem what is told by itself.
     """
     again = partial(
-        search,
+        search_effects,
         curve(problem),
         curve(unweighted(problem.obs, known)),
         candidates,
@@ -184,19 +184,19 @@ def _searched(
         seed=seed,
         shown_by_channel=shown_by_channel,
     )
-    found = again()
-    if found.if_inexact is not None and doubted(found, 0.0, _tests(found)):
+    first_search = again()
+    if first_search.if_inexact is not None and doubted(first_search, 0.0, _tests(first_search)):
         # What is small may then be how far others are off.
-        other = again(before=found)
-        if _doubted_um(other) <= _doubted_um(found):
+        other = again(before=first_search)
+        if _doubted_um(other) <= _doubted_um(first_search):
             return other
-    return found
+    return first_search
 
 
-def _doubted_um(found: Search) -> float:
+def _doubted_um(search: Search) -> float:
     """Return the size of what is found and doubted, RMS."""
-    obs = found.plain.obs
-    return localise.systematic_rms_um(obs, sum_um(doubted(found, 0.0, _tests(found)), obs))
+    obs = search.plain.obs
+    return localise.systematic_rms_um(obs, sum_um(doubted(search, 0.0, _tests(search)), obs))
 
 
 def _once(
@@ -208,17 +208,17 @@ def _once(
     if copied is None:
         return replace(blank, headline=said)
     copies, floor_um = copied
-    found = _diagnosed(copies, known, library, seed)
-    groups = tuple(tuple(replace(s, grade="shape-consistent") for s in group) for group in found.found)
+    diagnosis = _diagnosed(copies, known, library, seed)
+    groups = tuple(tuple(replace(s, grade="shape-consistent") for s in group) for group in diagnosis.found)
     said += f", it is at least {shown_number(floor_um, 2)} µm (harmonics above {HIGHEST_HARMONIC})"
     names = "; ".join(" or ".join(s.label for s in group) for group in groups)
     return replace(
         blank,
         headline=f"{said}; it looks like {names}" if names else said,
-        suspects=found.suspects,
+        suspects=diagnosis.suspects,
         found=groups,
-        unresolved=found.unresolved,
-        invisible=found.invisible,
+        unresolved=diagnosis.unresolved,
+        invisible=diagnosis.invisible,
         floor_kind="within_run",
         noise_floor_um=floor_um,
     )
@@ -232,7 +232,7 @@ def _concluded(
     channels: Sequence[Channel],
     library: Mapping[str, Effect],
     seed: int,
-    found: Search,
+    search: Search,
     first: Search,
     unknown: Sequence[Term] = (),
     believed: frozenset[str] = frozenset(),
@@ -247,7 +247,7 @@ def _concluded(
     """
     obs = problem.obs
     bare = unweighted(obs, known)
-    tests = _tests(found)
+    tests = _tests(search)
     words = localise.headline(obs, localise.in_angle(bare))
     few = f"tested, but {many_runs(obs)} do not tell what moves between them"
     blank = replace(
@@ -255,59 +255,59 @@ def _concluded(
         lack_of_fit_p=first.lack_of_fit[0],
         channels=tuple(channels),
         invisible=first.first.invisible,
-        untestable={**blank.untestable, **dict.fromkeys(found.untold, few)},
+        untestable={**blank.untestable, **dict.fromkeys(search.untold, few)},
     )
     foreign = tuple(c.name for c in channels if is_foreign(c.name, library))
-    if not found.found:
-        return _nothing_found(blank, found, candidates, known, channels, words)
-    moving = screen_channels(found.last, seed) if channels else ()
+    if not search.found:
+        return _nothing_found(blank, search, candidates, known, channels, words)
+    moving = screen_channels(search.last, seed) if channels else ()
     # A channel of the library's own that still moves with what is left has not been explained.
     late_um = (
         blank.noise_floor_um * max((c.share for c in moving if not is_foreign(c.name, library)), default=0.0) ** 0.5
     )
-    much = _much_left(found, blank.noise_floor_um)
-    doubts = doubted(found, late_um, tests)
-    doubts += [f for f in halves_of_lobes(found, bare, candidates) if f not in doubts]
-    doubts += hidden_by(doubts, found, tests)
+    much = _much_left(search, blank.noise_floor_um)
+    doubts = doubted(search, late_um, tests)
+    doubts += [f for f in halves_of_lobes(search, bare, candidates) if f not in doubts]
+    doubts += hidden_by(doubts, search, tests)
     least_um = _BESIDE_LAWS * blank.noise_floor_um if unknown else 0.0
     if places := list(unknown) if obs.there_and_back else []:
-        doubts += [f for f in beside_places(found, first) if f not in doubts]
+        doubts += [f for f in beside_places(search, first) if f not in doubts]
     kept = [
         f
-        for f in trusted(found, doubts, much)
-        if (much or not is_dwarfed(f, found))
+        for f in trusted(search, doubts, much)
+        if (much or not is_dwarfed(f, search))
         and (f.label in believed or f.size_um >= least_um)
-        and not follows_unknown(f, tests, found)
+        and not follows_unknown(f, tests, search)
     ]
-    kept = [] if none else standing_alone(kept, found, unweighted(obs, [*known, *unknown]), candidates)
-    if obs.grid.in_plane and (len(kept) < len(found.found) or found.lack_of_fit[1] <= LACK_OF_FIT):
+    kept = [] if none else standing_alone(kept, search, unweighted(obs, [*known, *unknown]), candidates)
+    if obs.grid.in_plane and (len(kept) < len(search.found) or search.lack_of_fit[1] <= LACK_OF_FIT):
         kept = without_dwarfed(kept, bare, candidates)
-    others = [f for f in found.found if f not in kept]
-    told = unknown or much or others or _worth_telling(found, blank.noise_floor_um)
+    others = [f for f in search.found if f not in kept]
+    told = unknown or much or others or _worth_telling(search, blank.noise_floor_um)
     terms = [f.top.term for f in kept]
     left = localise.in_angle(candidates.given(bare, [*terms, *places]))
-    found = replace(found, first=first.first, systematic_um=(first.systematic_um[0], found.systematic_um[1]))
-    fit_p = first.lack_of_fit[0] if others or unknown else found.lack_of_fit[1]
+    search = replace(search, first=first.first, systematic_um=(first.systematic_um[0], search.systematic_um[1]))
+    fit_p = first.lack_of_fit[0] if others or unknown else search.lack_of_fit[1]
     places = material_laws(places, bare, terms, candidates, IMMATERIAL * blank.noise_floor_um)
     blank = replace(blank, places=tuple(_as_place(law) for law in places))
     beside_um, where = laws_in_words(places, bare, terms, candidates) if places else (0.0, "")
-    unresolved = unresolved_part(found, left, fit_p, beside_um, where) if told else None
+    unresolved = unresolved_part(search, left, fit_p, beside_um, where) if told else None
     laws = tuple(search_laws(candidates.given(problem, terms))) if told else ()
     # What was found and not believed is shown with the tests that say why.
     withdrawn = [
-        replace(suspect(f.top, bare, found, candidates, f.gain), laws=tuple(tests[f.label][f.label])) for f in others
+        replace(suspect(f.top, bare, search, candidates, f.gain), laws=tuple(tests[f.label][f.label])) for f in others
     ]
-    likely = [members(f, tests[f.label], found, candidates, known) for f in kept]
+    likely = [members(f, tests[f.label], search, candidates, known) for f in kept]
     groups = sized(obs, [*known, *unknown], kept, likely)
     blank = replace(
-        blank, suspects=suspects(found, candidates, known, groups, withdrawn), unresolved=unresolved, laws=laws
+        blank, suspects=suspects(search, candidates, known, groups, withdrawn), unresolved=unresolved, laws=laws
     )
     if not kept:
         return replace(
             blank,
             verdict="unknown_effect",
-            headline=unexplained(where or words, channels, found, known),
-            closest=closest(found, candidates) if found.untold else found.found[0].label,
+            headline=unexplained(where or words, channels, search, known),
+            closest=closest(search, candidates) if search.untold else search.found[0].label,
         )
     single = all(len(group) == 1 for group in groups)
     verdict: Verdict = "missing_effect" if len(groups[0]) == 1 else "ambiguous"
@@ -327,25 +327,25 @@ def _as_place(law: Term) -> dict[str, Any]:
     return {"effect": law.instance.effect.name, "axis": law.instance.axis, "shape": dict(law.shape)}
 
 
-def _tests(found: Search) -> Tests:
-    return {f.label: laws_of(f, len(found.found)) for f in found.found}
+def _tests(search: Search) -> Tests:
+    return {f.label: laws_of(f, len(search.found)) for f in search.found}
 
 
 def _nothing_found(
     blank: Diagnosis,
-    found: Search,
+    search: Search,
     candidates: Candidates,
     known: Sequence[Term],
     channels: Sequence[Channel],
     words: str,
 ) -> Diagnosis:
-    fit_p, left_um = found.lack_of_fit[0], found.systematic_um[0]
-    shown, obs = suspects(found, candidates, known, ()), found.plain.obs
-    moves = "".join(f"; {said}" for said in [unsteady(obs, localise.in_angle(found.plain))] if said)
+    fit_p, left_um = search.lack_of_fit[0], search.systematic_um[0]
+    shown, obs = suspects(search, candidates, known, ()), search.plain.obs
+    moves = "".join(f"; {said}" for said in [unsteady(obs, localise.in_angle(search.plain))] if said)
     if left_um < IMMATERIAL * blank.noise_floor_um and not channels:
         said = f"what repeats agree on ({shown_number(left_um, 2)} µm) is small beside the noise floor"
         return replace(blank, verdict=_quiet(blank), headline=said + moves, suspects=shown)
-    laws = tuple(search_laws(found.last)) if fit_p <= _FIT_IS_DOUBTFUL else ()
+    laws = tuple(search_laws(search.last)) if fit_p <= _FIT_IS_DOUBTFUL else ()
     if fit_p > LACK_OF_FIT and not laws and not channels:
         said = "residual is at the noise floor"
         if blank.spread:
@@ -356,28 +356,28 @@ def _nothing_found(
         verdict="unknown_effect",
         suspects=shown,
         laws=laws,
-        unresolved=unresolved_part(found, localise.in_angle(found.plain), found.lack_of_fit[1]),
-        headline=unexplained(words, channels, found, known),
-        closest=closest(found, candidates),
+        unresolved=unresolved_part(search, localise.in_angle(search.plain), search.lack_of_fit[1]),
+        headline=unexplained(words, channels, search, known),
+        closest=closest(search, candidates),
     )
 
 
-def _much_left(found: Search, floor_um: float) -> bool:
+def _much_left(search: Search, floor_um: float) -> bool:
     """Tell whether what was found leaves structure: certainly some, or probably much."""
-    p_value, left_um = found.lack_of_fit[-1], found.systematic_um[-1]
+    p_value, left_um = search.lack_of_fit[-1], search.systematic_um[-1]
     certain = p_value <= LACK_OF_FIT and left_um > _LITTLE * floor_um
     probable = p_value <= _FIT_IS_DOUBTFUL and left_um > _LEFT * floor_um
-    obs = found.plain.obs
-    several = obs.there_and_back and len(found.found) >= _SEVERAL
+    obs = search.plain.obs
+    several = obs.there_and_back and len(search.found) >= _SEVERAL
     along = _EXPLAINED_ALONG if several else _EXPLAINED_AT_ONE_SPEED
     enough = _EXPLAINED if obs.several_speeds else along
-    return (certain or probable) and found.explained < enough
+    return (certain or probable) and search.explained < enough
 
 
-def _worth_telling(found: Search, floor_um: float) -> bool:
+def _worth_telling(search: Search, floor_um: float) -> bool:
     """Tell whether what is left is certain, and large enough to be spoken of."""
-    first_um, left_um = found.systematic_um
-    return found.lack_of_fit[-1] <= LACK_OF_FIT and left_um > max(_LITTLE * floor_um, SPOKEN_OF * first_um)
+    first_um, left_um = search.systematic_um
+    return search.lack_of_fit[-1] <= LACK_OF_FIT and left_um > max(_LITTLE * floor_um, SPOKEN_OF * first_um)
 
 
 def _quiet(blank: Diagnosis) -> Verdict:

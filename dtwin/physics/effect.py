@@ -209,7 +209,7 @@ class Effect:
         """
         wanted = (state.n, len(self.parameters))
         try:
-            found = np.asarray(self.regressors(state, axis, shape), dtype=np.float64)
+            columns = np.asarray(self.regressors(state, axis, shape), dtype=np.float64)
         except InputError:
             raise
         except Exception as error:
@@ -220,23 +220,23 @@ class Effect:
                 got=f"{type(error).__name__}: {error}",
                 allowed=f"an array of shape {wanted}",
             ) from error
-        if found.shape != wanted:
+        if columns.shape != wanted:
             raise InputError(
                 "an effect returned the wrong shape",
                 code="effect.shape",
                 where=f"{self.name} ({self.source})",
-                got=str(found.shape),
+                got=str(columns.shape),
                 allowed=f"{wanted}: one row for each point, one column for each parameter",
             )
-        if not np.isfinite(found).all():
+        if not np.isfinite(columns).all():
             raise InputError(
                 "an effect returned numbers that are not finite",
                 code="effect.not_finite",
                 where=f"{self.name} ({self.source})",
-                got=f"{int((~np.isfinite(found)).sum())} of {found.size}",
+                got=f"{int((~np.isfinite(columns)).sum())} of {columns.size}",
                 hint="guard divisions and logarithms, for example at standstill",
             )
-        return found
+        return columns
 
 
 @dataclass(frozen=True)

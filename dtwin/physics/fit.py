@@ -198,7 +198,7 @@ def find_aliases(obs: Observations, terms: Sequence[Term]) -> list[Alias]:
     seen = [
         problem.visible(problem.whitened(obs.regressors(t.instance, t.shape)), least=least_visible(t))[0] for t in terms
     ]
-    found = []
+    aliases = []
     for i, first in enumerate(terms):
         for j in range(i + 1, len(terms)):
             if not seen[i].shape[1] or not seen[j].shape[1]:
@@ -206,8 +206,8 @@ def find_aliases(obs: Observations, terms: Sequence[Term]) -> list[Alias]:
             largest = float(np.linalg.svd(seen[i].T @ seen[j], compute_uv=False)[0])
             if largest > _ALIAS:
                 advice = first.instance.effect.separate_by
-                found.append(Alias(first.label, terms[j].label, largest, advice))
-    return found
+                aliases.append(Alias(first.label, terms[j].label, largest, advice))
+    return aliases
 
 
 def _columns(problem: Problem, terms: Sequence[Term]) -> Floats:

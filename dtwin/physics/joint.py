@@ -156,14 +156,14 @@ def joint(
     every = groups or [[tuple(s.label for s in group) for group in test.found.found] for test in tests]
     measured = [_Measured(test, own, library) for test, own in zip(tests, every, strict=True)]
     settled = [
-        (one, found)
+        (one, verdict)
         for one in measured
         for group in one.groups
-        if len(group) > 1 and (found := _settled(one, group, measured)) is not None
+        if len(group) > 1 and (verdict := _settled(one, group, measured)) is not None
     ]
-    for one, found in settled:
-        one.groups = [found.left or group if group == found.group else group for group in one.groups]
-    return Joint((*_shared(measured), *_following(measured)), tuple(found for _, found in settled))
+    for one, verdict in settled:
+        one.groups = [verdict.left or group if group == verdict.group else group for group in one.groups]
+    return Joint((*_shared(measured), *_following(measured)), tuple(verdict for _, verdict in settled))
 
 
 class _Measured:

@@ -49,16 +49,16 @@ def learned_effect(name: str) -> Effect:
     """
     if name in PLACES:
         return PLACES[name]
-    found = _NAME.fullmatch(name)
-    if found is None:
+    match = _NAME.fullmatch(name)
+    if match is None:
         raise InputError(
             "this is not the name of a learned effect",
             code="effect.learned",
             got=name[:60],
             allowed=f"learned_(even|odd)_hN_fA_rB, as dtwin twin learn makes them, {', '.join(PLACES)}",
         )
-    parity, harmonic = found[1], int(found[2])
-    feed, radius = _decoded(found[3]), _decoded(found[4])
+    parity, harmonic = match[1], int(match[2])
+    feed, radius = _decoded(match[3]), _decoded(match[4])
     n = 2 if harmonic else 1
     names = ("cosine", "sine") if harmonic else ("radius",)
 

@@ -126,17 +126,17 @@ def _effect_of(module: ModuleType) -> Effect:
     return _as_effect(getattr(module, "EFFECT", None), module.__name__.rpartition(".")[2])
 
 
-def _as_effect(found: object, where: str) -> Effect:
-    if not isinstance(found, Effect):
+def _as_effect(effect: object, where: str) -> Effect:
+    if not isinstance(effect, Effect):
         raise InputError(
             "an effect file needs EFFECT = Effect(...)",
             code="effect.file",
             where=where,
-            got=type(found).__name__,
+            got=type(effect).__name__,
             hint="dtwin effects template NAME writes one to start from",
         )
-    require_name(found.name, "the effect")
-    return found
+    require_name(effect.name, "the effect")
+    return effect
 
 
 def _from_file(path: Path) -> Effect:

@@ -218,8 +218,8 @@ class _Seen:
 
     def __init__(self, problem: Problem, library: Mapping[str, Effect]) -> None:
         self.problem = problem
-        found, _ = applicable(library, problem.obs, [])
-        self.instances = {instance.label: instance for instance in found}
+        instances, _ = applicable(library, problem.obs, [])
+        self.instances = {instance.label: instance for instance in instances}
         self.columns: dict[str, Floats] = {}
         for label, instance in self.instances.items():
             whole = problem.whitened(problem.obs.regressors(instance, instance.effect.start_shape))
@@ -248,7 +248,7 @@ def unclear(
         name, _, where = label.partition(" ")
         effect = library[name]
         columns = obs.regressors(Instance(effect, where), effect.start_shape)
-        return {p.name for p, acts in zip(effect.parameters, columns.any(axis=(0, 1)), strict=True) if acts}
+        return {p.name for i, p in enumerate(effect.parameters) if columns[:, :, i].any()}
 
     def is_open(group: Sequence[str], obs: Observations) -> bool:
         if len(group) > 1:

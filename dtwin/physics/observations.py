@@ -142,8 +142,8 @@ class Observations:
     @cached_property
     def place_of(self) -> Indices:
         """Condition of each row without its direction, shape (rows,)."""
-        found = [self.conditions[c] for c in self.condition_of]
-        keys = [(c.plane, c.radius_mm, c.feed_mm_min) for c in found]
+        conditions = [self.conditions[c] for c in self.condition_of]
+        keys = [(c.plane, c.radius_mm, c.feed_mm_min) for c in conditions]
         numbers = {key: n for n, key in enumerate(dict.fromkeys(keys))}
         return np.array([numbers[key] for key in keys])
 

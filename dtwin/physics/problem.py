@@ -264,9 +264,9 @@ def _noise(plain: Problem, within: Sequence[Term]) -> PureError | None:
         residual = _inside(plain.residual, obs.condition_of)
         left = residual.ravel() - basis @ (basis.T @ residual.ravel())
         fitted = basis.reshape(obs.n_rows, obs.n_bins, -1)
-        found = pure_error(left.reshape(residual.shape), obs.condition_of, share, fitted, run_of)
-        if found is not None:
-            return found
+        noise = pure_error(left.reshape(residual.shape), obs.condition_of, share, fitted, run_of)
+        if noise is not None:
+            return noise
     return pure_error(plain.residual, obs.condition_of, share, run_of=run_of)
 
 

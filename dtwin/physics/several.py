@@ -354,7 +354,7 @@ def _aliases(pool: Pool) -> list[Alias]:
         values, vectors = np.linalg.eigh(left[np.ix_(own, own)])
         keep = values > _HIDDEN * max(float(np.diag(gram)[own].max()), 1e-300)
         roots[number] = own, vectors[:, keep] / np.sqrt(values[keep])
-    found = []
+    aliases = []
     for i, first in enumerate(pool.terms):
         for j in range(i + 1, len(pool.terms)):
             (mine, half), (other, other_half) = roots[i], roots[j]
@@ -362,5 +362,5 @@ def _aliases(pool: Pool) -> list[Alias]:
                 across = half.T @ left[np.ix_(mine, other)] @ other_half
                 largest = min(1.0, float(np.linalg.svd(across, compute_uv=False)[0]))
                 if largest > _ALIAS:
-                    found.append(Alias(first.label, pool.terms[j].label, largest, first.instance.effect.separate_by))
-    return found
+                    aliases.append(Alias(first.label, pool.terms[j].label, largest, first.instance.effect.separate_by))
+    return aliases

@@ -95,8 +95,8 @@ def diagnose_several(
     tests = []
     for obs, told in zip(campaigns, alone or [None] * len(campaigns), strict=True):
         known = twin.on(obs.campaign.name).terms
-        found = told or diagnose(obs, known, library, seed=seed)
-        tests.append(MachineTest(obs.campaign.name, started_of(obs), obs, found, known))
+        diagnosis = told or diagnose(obs, known, library, seed=seed)
+        tests.append(MachineTest(obs.campaign.name, started_of(obs), obs, diagnosis, known))
     settled = joint(tests, library)
     groups, ruled_out = merged(twin.terms, tests, settled, library)
     groups, denied = _shown_together(twin, groups, campaigns, library)
@@ -116,7 +116,7 @@ def diagnose_several(
                 explained[group[0].label] = f"{contradiction.effect} {contradiction.axis}".rstrip()
     # What a campaign shows beside a size that it gets wrong is asked again when that is right.
     wrong = {where for _, where in better}
-    groups = [*better, *(found for found in groups if found[1] not in wrong)]
+    groups = [*better, *(diagnosis for diagnosis in groups if diagnosis[1] not in wrong)]
     return _concluded(twin, tests, settled, groups, denied, explained, ruled_out, library)
 
 
@@ -197,11 +197,11 @@ def _explaining(
             ),
         )
         rest = [t for t in mine.terms if t is not seen]
-        found = diagnose(obs.with_y(obs.y_um - predict_um(alone, obs)), rest, library, seed=seed)
+        diagnosis = diagnose(obs.with_y(obs.y_um - predict_um(alone, obs)), rest, library, seed=seed)
         groups = [
             kept
-            for group in found.found
-            if found.verdict != "need_repeats"
+            for group in diagnosis.found
+            if diagnosis.verdict != "need_repeats"
             and (kept := tuple(s for s in group if _reconciles(twin, s, term, campaigns, library)))
         ]
         if groups:
@@ -233,8 +233,8 @@ def _concluded(
     ruled_out: tuple[str, ...],
     library: Mapping[str, Effect],
 ) -> SeveralDiagnosis:
-    found = [test.found for test in tests]
-    p_values = [f.lack_of_fit_p for f in found if f.lack_of_fit_p == f.lack_of_fit_p]
+    diagnoses = [test.found for test in tests]
+    p_values = [f.lack_of_fit_p for f in diagnoses if f.lack_of_fit_p == f.lack_of_fit_p]
     figures = pooled_figures(
         [
             {
@@ -243,7 +243,7 @@ def _concluded(
                 "systematic_rms_um": f.systematic_rms_um,
                 "noise_floor_um": f.noise_floor_um,
             }
-            for f in found
+            for f in diagnoses
         ],
         [float(test.obs.mask.sum()) for test in tests],
     )
@@ -259,7 +259,7 @@ def _concluded(
     unclear = next((test for test in tests if any(c == test.campaign and len(g) > 1 for g, c in groups)), None)
     known_of = {test.campaign: test.known for test in tests}
     worst = max(
-        (f for f in found if f.unresolved),
+        (f for f in diagnoses if f.unresolved),
         key=lambda f: f.unresolved.systematic_rms_um if f.unresolved else 0.0,
         default=None,
     )
@@ -271,12 +271,12 @@ def _concluded(
         unclear = next(test for test in tests if doubts[0][0] in {term.label for term in test.known})
         asked = replace(unclear.found, found=(), suspects=(), undecided=doubts)
     return SeveralDiagnosis(
-        verdict=_verdict(found, groups, settled),
+        verdict=_verdict(diagnoses, groups, settled),
         headline=_headline(tests, groups, denied, twin.contradictions),
         residual_rms_um=figures["rms_after_um"],
         systematic_rms_um=figures["systematic_rms_um"],
         noise_floor_um=figures["noise_floor_um"],
-        floor_kind=max((f.floor_kind for f in found), key=("none", "within_run", "repeats").index),
+        floor_kind=max((f.floor_kind for f in diagnoses), key=("none", "within_run", "repeats").index),
         lack_of_fit_p=min(1.0, len(p_values) * min(p_values)) if p_values else float("nan"),
         suspects=tuple(named),
         found=tuple(group for group, _ in groups),
@@ -287,15 +287,15 @@ def _concluded(
                 key=lambda place: -float(place["residual_rms_um"]),
             )[:_PLACES]
         ),
-        channels=tuple(channel for f in found for channel in f.channels),
+        channels=tuple(channel for f in diagnoses for channel in f.channels),
         laws=worst.laws if worst else (),
-        closest=next((f.closest for f in found if f.closest), None),
+        closest=next((f.closest for f in diagnoses if f.closest), None),
         invisible=tuple(sorted(label for label, why in hidden.items() if not why)),
         untestable={label: why for label, why in hidden.items() if why},
         outlier_runs=tuple(f"{test.campaign} {run}" for test in tests for run in test.found.outlier_runs),
         told=(),
         places=_places(tests),
-        spread=next((f.spread for f in found if f.spread), None),
+        spread=next((f.spread for f in diagnoses if f.spread), None),
         next_experiment=next_experiment(unclear.obs, known_of[unclear.campaign], asked, library)
         if unclear and asked
         else None,
@@ -353,12 +353,12 @@ def _hidden(
     return out
 
 
-def _verdict(found: Sequence[Diagnosis], groups: Sequence[Group], settled: Joint) -> Verdict:
+def _verdict(diagnoses: Sequence[Diagnosis], groups: Sequence[Group], settled: Joint) -> Verdict:
     if groups:
         return "missing_effect" if len(groups[0][0]) == 1 else "ambiguous"
     if any(shared.apart for shared in settled.shared):
         return "unknown_effect"
-    said = {f.verdict for f in found}
+    said = {f.verdict for f in diagnoses}
     return next((verdict for verdict in _QUIET if verdict in said), "nothing_missing")
 
 

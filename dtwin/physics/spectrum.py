@@ -44,13 +44,13 @@ def _band_rms_um(signal_um: Floats, rate_hz: float) -> list[tuple[float, float, 
         power[-1] /= 2.0
     frequency = np.fft.rfftfreq(n, 1.0 / rate_hz)
     nyquist_hz = rate_hz / 2.0
-    found = []
+    bands = []
     for low, high in _BANDS_HZ:
         top = min(high, nyquist_hz)
         below = frequency <= top if top == nyquist_hz else frequency < top
         if low < nyquist_hz:
-            found.append((low, top, float(np.sqrt(power[(frequency >= low) & below].sum()))))
-    return found
+            bands.append((low, top, float(np.sqrt(power[(frequency >= low) & below].sum()))))
+    return bands
 
 
 def _refined(amplitude: Floats, k: int, step_hz: float) -> tuple[float, float]:

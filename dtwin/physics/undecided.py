@@ -46,8 +46,8 @@ def undecided(obs: Observations, known: Sequence[Term], library: Mapping[str, Ef
     if obs.grid.in_plane and _laws_are_off(problem, known, whole):
         part = Candidates(away_from_reversals(obs), tried)
         told = weighted_like(part.obs, [], problem.noise)
-    found = described(known, {}, told, part, problem, unweighted(obs, []), whole)
-    groups = [[f.label, *(c.term.label for c in survivors(f, laws_of(f, len(found))))] for f in found]
+    effects = described(known, {}, told, part, problem, unweighted(obs, []), whole)
+    groups = [[f.label, *(c.term.label for c in survivors(f, laws_of(f, len(effects))))] for f in effects]
     return tuple(group for group in (tuple(dict.fromkeys(group)) for group in groups) if len(group) > 1)
 
 
@@ -94,9 +94,9 @@ def doubts_of(test: MachineTest, library: Mapping[str, Effect]) -> dict[str, tup
     return {group[0]: group for group in groups}
 
 
-def like_repeats(obs: Observations, found: Diagnosis) -> Observations:
+def like_repeats(obs: Observations, diagnosis: Diagnosis) -> Observations:
     """Return observations without the runs that a diagnosis left out, not being like their repeats."""
-    return obs.without([n for n, run in enumerate(obs.runs) if run.run_id in found.outlier_runs])
+    return obs.without([n for n, run in enumerate(obs.runs) if run.run_id in diagnosis.outlier_runs])
 
 
 def _laws_are_off(problem: Problem, known: Sequence[Term], candidates: Candidates) -> bool:

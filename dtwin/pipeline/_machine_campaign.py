@@ -158,10 +158,10 @@ class _Campaign:
         def ended() -> bool:
             if self._asked():
                 return True
-            if not taken and (found := self._arrived(before, refused)) is not None:
+            if not taken and (arrived := self._arrived(before, refused)) is not None:
                 with whole_file(job.folder / reference, "the instrument's file") as partial:
-                    shutil.copyfile(found.path, partial)
-                taken.append(found)
+                    shutil.copyfile(arrived.path, partial)
+                taken.append(arrived)
             return bool(taken)
 
         try:
@@ -258,17 +258,17 @@ class _Campaign:
         folder = open_campaign(self._job.folder)
         (entry,) = [e for e in folder.entries if e.run_id == step.run_id]
         runs, _ = folder.read(entry)
-        found = [f for run in runs for f in (*run.findings, *judge_run(run), *_strange(run, step))]
-        self._findings[step.run_id] = [finding.as_dict() for finding in found]
-        spoilt = [finding for finding in found if finding.severity == "error"]
+        findings = [f for run in runs for f in (*run.findings, *judge_run(run), *_strange(run, step))]
+        self._findings[step.run_id] = [finding.as_dict() for finding in findings]
+        spoilt = [finding for finding in findings if finding.severity == "error"]
         answer = KEEP
         if spoilt:
-            lines = "\n".join(f"  {f.severity}: {f.message}" for f in found)
+            lines = "\n".join(f"  {f.severity}: {f.message}" for f in findings)
             text = f"{step.run_id} is spoilt:\n{lines}\n  repeat it, or keep it as it is?"
             self._desk.ask(Question(step.run_id, text, (REPEAT, KEEP), (), number, len(self._job.steps)))
             answer = self._await_answer()
         else:
-            self._desk.show(f"{step.run_id}: taken, {len(found)} remarks, nothing wrong")
+            self._desk.show(f"{step.run_id}: taken, {len(findings)} remarks, nothing wrong")
         if answer == REPEAT:
             self._put_aside(step.run_id, "repeated")
             return

@@ -119,9 +119,9 @@ def earlier_test(
     figures = _figures(sheet)
     for name in sorted(begun, key=lambda name: begun[name], reverse=True)[:_LOOKED_AT]:
         stamp = stamp_of([row for row in rows if row["campaign"] == name])
-        found = sheet_of_campaign(home, name, mine[0]["machine"], stamp, variation)
-        if figures & _figures(found):
-            return {"campaign": name, "sheet": found}
+        of_then = sheet_of_campaign(home, name, mine[0]["machine"], stamp, variation)
+        if figures & _figures(of_then):
+            return {"campaign": name, "sheet": of_then}
     return None
 
 

@@ -73,9 +73,9 @@ def check_home(home: Home, progress: Progress = silent) -> _HomeCheck:
         "histories": _histories(home),
         **({"shared": _shared(home), "models": _models(home)} if home.file.store else {}),
     }
-    for name, found in steps.items():
+    for name, findings in steps.items():
         looked_at[name] = 0
-        for what, said in found:
+        for what, said in findings:
             looked_at[name] += 1
             if said:
                 wrong[what] = said

@@ -92,8 +92,8 @@ def variation_of(home: Home, machine: str, rows: Sequence[Mapping[str, Any]] | N
 
 def _variation(lake: Lake, telling: Mapping[str, Kind], name: str, rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """Return the variation that a campaign tells, JSON-ready; empty when it tells none."""
-    found = telling[rows[0]["kind"]].variation([lake.load(dict(row), signals=False) for row in rows], name)
-    return {} if found is None else asdict(found)
+    variation = telling[rows[0]["kind"]].variation([lake.load(dict(row), signals=False) for row in rows], name)
+    return {} if variation is None else asdict(variation)
 
 
 def sheet_of_campaign(

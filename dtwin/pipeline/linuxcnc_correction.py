@@ -111,8 +111,8 @@ def named(circle: Circle) -> str:
 def served_figures(measured: Sequence[LiveTrace]) -> dict[str, Any]:
     """Return how serving went over several circles."""
     acted: dict[str, int] = {}
-    for found in measured:
-        for reason, count in found.status.reasons.items():
+    for figures in measured:
+        for reason, count in figures.status.reasons.items():
             acted[reason] = acted.get(reason, 0) + count
     return {
         "circles": len(measured),

@@ -175,17 +175,17 @@ def _known(
     Returns ``last_test``: day of the newest test of the twin; ``later``: tests since, which it does not have.
     """
     order = [test["campaign"] for test in tests]
-    found: list[tuple[int, int, str, Twin]] = []
+    twins: list[tuple[int, int, str, Twin]] = []
     for name in names:
         try:
             twin = paths_of(home, library, name)
         except InputError:
             continue
         days = [order.index(campaign) for campaign in twin.campaigns if campaign in order]
-        found += [(max(days), len(days), name, twin)] if days and twin.terms else []
-    if not found:
+        twins += [(max(days), len(days), name, twin)] if days and twin.terms else []
+    if not twins:
         return None
-    last, _, name, twin = max(found, key=lambda one: one[:2])
+    last, _, name, twin = max(twins, key=lambda one: one[:2])
     day = tests[last]["started"][:10]
     titles = [title_of(term.label, library) for term in twin.terms]
     sizes = [{"title": title, **one} for title, one in zip(titles, sized_effects(twin), strict=True)]
@@ -237,7 +237,7 @@ def record_of(home: Home, machine: str, rows: Sequence[Mapping[str, Any]]) -> Ma
 
 def require_machine(home: Home, machine: str) -> None:
     """Raise ``InputError`` when a machine has neither a record nor a campaign."""
-    known = [found["machine"] for found in machine_overviews(home)]
+    known = [overview["machine"] for overview in machine_overviews(home)]
     if machine not in known:
         allowed, hint = ", ".join(known) or "none", f"dtwin machine add {machine}"
         raise InputError("no such machine", code="machine.unknown", got=machine, allowed=allowed, hint=hint)
@@ -250,8 +250,8 @@ def drop_machine(home: Home, machine: str) -> None:
     """
     require_machine(home, machine)
     read_record(home, machine)
-    (found,) = (one for one in machine_overviews(home) if one["machine"] == machine)
-    if held := [*found["campaigns"], *found["twins"], *filter(None, [champion_of(home, machine)])]:
+    (overview,) = (one for one in machine_overviews(home) if one["machine"] == machine)
+    if held := [*overview["campaigns"], *overview["twins"], *filter(None, [champion_of(home, machine)])]:
         raise InputError(
             "what was measured of a machine stays, and with it the machine",
             code="machine.measured",

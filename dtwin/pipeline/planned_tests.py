@@ -200,8 +200,8 @@ def _virtual_machine(home: Home, machine: str, kind: Kind) -> tuple[VirtualMachi
 def measured_by(home: Home, document: Mapping[str, Any]) -> tuple[str, dict[str, str], int] | None:
     """Return the virtual machine that measures a plan, its options, and a seed; None when a real machine does."""
     planned = planned_document(document, "the plan")
-    found = _virtual_machine(home, str(planned.summary["machine"]), kind_named(planned.kind))
-    return found and (found[0].name, *found[1:])
+    virtual = _virtual_machine(home, str(planned.summary["machine"]), kind_named(planned.kind))
+    return virtual and (virtual[0].name, *virtual[1:])
 
 
 def keep_plan(home: Home, document: Mapping[str, Any]) -> str:

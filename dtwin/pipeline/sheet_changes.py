@@ -98,8 +98,8 @@ def sheet_changes(home: Home, campaign: str, earlier: str = "", machine: str = "
             )
         before: dict[str, Any] = {"campaign": earlier, "sheet": sheet(earlier)}
     else:
-        found = earlier_test(home, every, mine, sheet(campaign), variation)
-        if found is None:
+        of_then = earlier_test(home, every, mine, sheet(campaign), variation)
+        if of_then is None:
             raise _First(
                 "there is no earlier test with a figure in common",
                 code="changes.first",
@@ -107,7 +107,7 @@ def sheet_changes(home: Home, campaign: str, earlier: str = "", machine: str = "
                 got=f"{known.kind} of {known.machine}",
                 hint=f"dtwin machine show {known.machine}",
             )
-        before = found
+        before = of_then
     old, new = _figures(before["sheet"]), _figures(sheet(campaign))
     both = [key for key in new if key in old]
     critical = NormalDist().inv_cdf(1.0 - _FALSE_ALARMS / 2.0 / max(len(both), 1))

@@ -126,10 +126,10 @@ def moving_zero(test: LinearTest) -> _MovingZero | None:
         for row, column in zip(design, columns, strict=True):
             spread = np.broadcast_to(column, moved.shape)
             row[:] = (spread - spread.mean(axis=2, keepdims=True))[told]
-        found, *_ = np.linalg.lstsq(design @ design.T, design @ moved[told], rcond=None)
+        solution, *_ = np.linalg.lstsq(design @ design.T, design @ moved[told], rcond=None)
         rest = np.full(moved.shape, np.nan)
-        rest[told] = moved[told] - found @ design
-        return rest, np.asarray(found)
+        rest[told] = moved[told] - solution @ design
+        return rest, np.asarray(solution)
 
     best: list[tuple[float, Floats, str, Callable[[], str], Floats, int, Sequence[Floats]]] = []
 

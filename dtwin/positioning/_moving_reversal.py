@@ -77,10 +77,10 @@ def _turned(reversal: Floats, first: str) -> Floats | None:
     apart = (np.arange(_STRETCHES) + 0.5) / _STRETCHES
     apart = apart if first == "reverse" else 1.0 - apart
     design = np.stack([np.ones(_STRETCHES), apart], axis=1)
-    found, *_ = np.linalg.lstsq(design, means, rcond=None)
-    turned = found[0] - found[0].mean()
+    solution, *_ = np.linalg.lstsq(design, means, rcond=None)
+    turned = solution[0] - solution[0].mean()
     dof = (_STRETCHES - 2) * (cycles - 1)
-    variance = float(((means - design @ found) ** 2).sum()) / dof * float(np.linalg.inv(design.T @ design)[0, 0])
+    variance = float(((means - design @ solution) ** 2).sum()) / dof * float(np.linalg.inv(design.T @ design)[0, 0])
     ratio = float((turned**2).sum()) / (cycles - 1) / max(variance, 1e-12)
     little = not np.isfinite(ratio) or np.ptp(turned) < ORDINARY
     return None if little or f_tail(ratio, (cycles - 1, dof)) > _CHANCE else np.asarray(turned)

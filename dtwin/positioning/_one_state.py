@@ -24,9 +24,9 @@ _NUMBERED = re.compile(
 def _are_counted(names: Sequence[str]) -> bool:
     """Return whether names are one word with numbers that count: ``M1``, ``M2``."""
     told = [re.fullmatch(r"(\D*[^\W\d]\D*)(\d+)", name) for name in names]
-    found = [match for match in told if match is not None]
-    words, numbers = {match[1] for match in found}, {int(match[2]) for match in found}
-    return len(found) == len(names) and len(words) == 1 and counts_repeats(numbers)
+    matches = [match for match in told if match is not None]
+    words, numbers = {match[1] for match in matches}, {int(match[2]) for match in matches}
+    return len(matches) == len(names) and len(words) == 1 and counts_repeats(numbers)
 
 
 def require_one_state(

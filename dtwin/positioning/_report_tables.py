@@ -311,7 +311,7 @@ def _of_heads(heads: Sequence[str], below: Sequence[Sequence[str]]) -> list[_Rep
             others.setdefault(words or "readings", []).append(i)
         elif name and is_length("", unit[i]) == is_length("", unit[target] or unit[i]):
             unknown.setdefault(name, []).append(i)
-    if any(is_opposite(heads[i]) for found in named.values() for i in found):
+    if any(is_opposite(heads[i]) for columns in named.values() for i in columns):
         # Two instruments in one head, the axis minus the laser: refused as it is read.
         return []
     if named and SURELY_TARGET.match(heads[target]):
@@ -322,25 +322,28 @@ def _of_heads(heads: Sequence[str], below: Sequence[Sequence[str]]) -> list[_Rep
     if len(own) == len(named) and own and not others:
         # Beside sensors of the axis itself stands what it is measured with, whatever its name.
         named |= unknown
-    if not named or (others and not own and any(is_deviation(heads[i]) for found in others.values() for i in found)):
+    if not named or (
+        others and not own and any(is_deviation(heads[i]) for columns in others.values() for i in columns)
+    ):
         return []
     if others and len(own) == len(named):
-        groups = {"": [i for found in others.values() for i in found]}
+        groups = {"": [i for columns in others.values() for i in columns]}
     elif len(named) + len(others) > 1 or own or (wide_of(heads) is None and long_of(heads) is None):
         groups = {**named, **others}
     else:
         return []
-    every = {i for found in (*named.values(), *others.values()) for i in found}
+    every = {i for columns in (*named.values(), *others.values()) for i in columns}
     tables = []
-    for name, found in groups.items():
-        kept = [i for i in range(len(heads)) if i not in every or i in found]
-        told = [_without_name(heads[i], unit[i]) if name and i in found else heads[i] for i in kept]
+    for name, columns in groups.items():
+        kept = [i for i in range(len(heads)) if i not in every or i in columns]
+        told = [_without_name(heads[i], unit[i]) if name and i in columns else heads[i] for i in kept]
         if wide_of(told) is None and long_of(told) is None:
             return []
         body = [[line[i] if i < len(line) else "" for i in kept] for line in (below[1:] if units and name else below)]
         if units and name:
             told = [
-                told[k] if i in found else f"{told[k]} [{unit[i]}]" if unit[i] else told[k] for k, i in enumerate(kept)
+                told[k] if i in columns else f"{told[k]} [{unit[i]}]" if unit[i] else told[k]
+                for k, i in enumerate(kept)
             ]
         tables.append(_ReportTable([told, *body], name))
     return tables

@@ -52,8 +52,8 @@ def spoilt_readings(test: LinearTest) -> list[_SpoiltReading]:
     if cycles - 1 + (test.ways == BOTH and cycles == _FEWEST_OF_TARGET) < _FEWEST_OF_TARGET:
         return []
     ways = dict(zip(test.ways, (test.forward_um, test.reverse_um), strict=True))
-    if found := _contradicted(test, ways):
-        return found
+    if contradicted := _contradicted(test, ways):
+        return contradicted
     ways = {way: _beside_its_sweep(values) for way, values in ways.items()}
     return [s for s in _contradicted(test, ways) if _stands_alone(ways, s)]
 
@@ -94,21 +94,21 @@ def _contradicted(test: LinearTest, ways: Mapping[str, Floats]) -> list[_SpoiltR
     # Readings that are rounded agree better than what was read: not to less than a step.
     step = step_um(np.concatenate([test.forward_um, test.reverse_um]))
     limit = _FAR * max(usual_size(every), step / math.sqrt(12.0))
-    found = [
+    contradicted = [
         _SpoiltReading(int(i), int(c), way, float(off[way][i, c]), float(span[way][i, c]))
         for way in ways
         for i, c in np.argwhere((np.abs(off[way]) > limit) & (np.abs(off[way]) > _APART * (span[way] + step)))
     ]
-    if len(found) > max(2, _MOST_SPOILT * every.size):
+    if len(contradicted) > max(2, _MOST_SPOILT * every.size):
         return []
-    found.sort(key=lambda spoilt: -abs(spoilt.off_um))
+    contradicted.sort(key=lambda spoilt: -abs(spoilt.off_um))
     furthest = np.max([np.abs(o).max(axis=1) for o in off.values()], axis=0)
-    while found:
-        elsewhere = np.delete(furthest, [s.target for s in found])
-        if abs(found[-1].off_um) > _BEYOND * elsewhere.max(initial=0.0):
+    while contradicted:
+        elsewhere = np.delete(furthest, [s.target for s in contradicted])
+        if abs(contradicted[-1].off_um) > _BEYOND * elsewhere.max(initial=0.0):
             break
-        found.pop()
-    return sorted(found, key=lambda spoilt: (list(ways).index(spoilt.way), spoilt.target, spoilt.cycle))
+        contradicted.pop()
+    return sorted(contradicted, key=lambda spoilt: (list(ways).index(spoilt.way), spoilt.target, spoilt.cycle))
 
 
 def step_um(values: Floats) -> float:
@@ -120,25 +120,25 @@ def step_um(values: Floats) -> float:
 
 def spoilt_finding(test: LinearTest) -> Finding | None:
     """Return which readings are spoilt and what they do to the repeatability, None when none is."""
-    found = spoilt_readings(test)
-    if not found:
+    spoilt = spoilt_readings(test)
+    if not spoilt:
         return None
     cycles = test.forward_um.shape[1]
     others = f"the other {cycles - 1}" if cycles > _FEWEST_OF_TARGET else "the other cycle and the other direction"
     told = "; ".join(
         f"cycle {test.cycle(s.cycle)} {s.way} at {test.position_mm[s.target]:g} {test.scale.unit}: {shown_number(s.off_um, sign='+')} {test.scale.fine} from {others}, "
         f"which agree within {shown_number(s.span_um, 2)} {test.scale.fine}"
-        for s in found[:6]
+        for s in spoilt[:6]
     )
     with_all = linear_figures(test.forward_um, test.reverse_um).repeatability_um
-    one = len(found) == 1
+    one = len(spoilt) == 1
     return Finding(
         f"{test.scale.kind}.spoilt_readings",
         "error",
-        f"{len(found)} reading{'' if one else 's'} {'does' if one else 'do'} not belong to the others ({told}): R is "
-        f"{shown_number(with_all, 4)} {test.scale.fine} with {'it' if one else 'them'} and {shown_number(_repeatability_without(test, found), 4)} {test.scale.fine} without; measure "
+        f"{len(spoilt)} reading{'' if one else 's'} {'does' if one else 'do'} not belong to the others ({told}): R is "
+        f"{shown_number(with_all, 4)} {test.scale.fine} with {'it' if one else 'them'} and {shown_number(_repeatability_without(test, spoilt), 4)} {test.scale.fine} without; measure "
         "that sweep again, or leave that cycle out",
-        {"readings_1": float(len(found)), f"largest_{test.scale.figure}": max(abs(s.off_um) for s in found)},
+        {"readings_1": float(len(spoilt)), f"largest_{test.scale.figure}": max(abs(s.off_um) for s in spoilt)},
     )
 
 

@@ -237,7 +237,7 @@ def matrix_of(readings: Sequence[Reading], path: Path, scale: Scale = LENGTHS) -
     Raises ``InputError`` when there are fewer than two targets, or one is read twice in a cycle and direction.
     """
     sweeps = {way: sorted({r[2] for r in readings if r[1] == way}) for way in ("forward", "reverse")}
-    numbers = sorted(number for found in sweeps.values() for number in found)
+    numbers = sorted(number for matrices in sweeps.values() for number in matrices)
     if all(sweeps.values()) and numbers == list(range(1, len(numbers) + 1)):
         readings = [(r[0], r[1], sweeps[r[1]].index(r[2]) + 1, r[3], r[4]) for r in readings]
     readings, joined_mm = with_joined_targets(readings)
@@ -250,17 +250,17 @@ def matrix_of(readings: Sequence[Reading], path: Path, scale: Scale = LENGTHS) -
     if len(targets) < 2 or not 1 <= cycles <= 1000:
         raise wrong_form("a positioning test needs two targets and a cycle", path, f"{len(targets)} targets")
     place = {target: i for i, target in enumerate(targets)}
-    found = {way: np.full((len(targets), cycles), np.nan) for way in ("forward", "reverse")}
+    matrices = {way: np.full((len(targets), cycles), np.nan) for way in ("forward", "reverse")}
     for target, way, cycle, deviation, _ in readings:
         cell = place[target], cycle - 1
-        if np.isfinite(found[way][cell]):
+        if np.isfinite(matrices[way][cell]):
             got = f"{way}, cycle {cycle}, {target:g} {scale.unit}"
             said = "a reading stands there twice: say which cycle each belongs to, and of which axis it is"
             raise wrong_form(said + "; the end of a turn is 360, not 0" * bool(scale.turn), path, got)
-        found[way][cell] = deviation
+        matrices[way][cell] = deviation
     by_position = all(reading[4] for reading in readings)
     return PositionTable(
-        np.array(targets), found["forward"], found["reverse"], by_position, joined_mm=joined_mm, scale=scale
+        np.array(targets), matrices["forward"], matrices["reverse"], by_position, joined_mm=joined_mm, scale=scale
     )
 
 

@@ -227,10 +227,10 @@ def _wholes(moved: Floats, along: Floats) -> tuple[Floats, Floats]:
     if not along.shape[1]:
         return np.zeros(0), moved
     told = np.linalg.pinv(along)
-    found = told @ moved
-    rest = moved - along @ found
+    amounts = told @ moved
+    rest = moved - along @ amounts
     scatter = float((rest**2).sum()) / ((len(moved) - along.shape[1]) * (runs - 1))
-    variance = (found**2).sum(axis=1) / (runs - 1) - scatter * (told**2).sum(axis=1)
+    variance = (amounts**2).sum(axis=1) / (runs - 1) - scatter * (told**2).sum(axis=1)
     return np.sqrt(np.maximum(variance, 0.0)), rest
 
 

@@ -210,8 +210,8 @@ def _targets(names: Sequence[str]) -> list[int]:
     # Beside neg, pos is a direction.
     there = {name.lower() for name in names}
     ways = {name for name in names if (low := name.lower()).startswith("pos") and f"neg{low[3:]}" in there}
-    found = [i for i, name in enumerate(names) if names_target(name) and name not in ways]
-    return sorted(found, key=lambda i: (_COUNTED.fullmatch(names[i]) is not None, not SURELY_TARGET.match(names[i])))
+    targets = [i for i, name in enumerate(names) if names_target(name) and name not in ways]
+    return sorted(targets, key=lambda i: (_COUNTED.fullmatch(names[i]) is not None, not SURELY_TARGET.match(names[i])))
 
 
 def other_targets(heads: Sequence[str], target: int) -> list[int]:

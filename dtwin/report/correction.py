@@ -8,37 +8,38 @@ from typing import Any
 from dtwin.report.text import table
 
 
-def correction_text(found: Mapping[str, Any]) -> str:
+def correction_text(correction: Mapping[str, Any]) -> str:
     """Return what is corrected, what is not and why, and what the gates say, of ``Correction.as_dict``."""
-    grades = {g["label"]: g["grade"] for g in found["grades"]}
+    grades = {g["label"]: g["grade"] for g in correction["grades"]}
     terms = [
-        (t["label"], "yes" if t["included"] else "no", grades.get(t["label"], "-"), t["how"]) for t in found["terms"]
+        (t["label"], "yes" if t["included"] else "no", grades.get(t["label"], "-"), t["how"])
+        for t in correction["terms"]
     ]
-    digits = 2 if max(p["rms_before_um"] for p in found["predicted"]) >= 10.0 else 3
+    digits = 2 if max(p["rms_before_um"] for p in correction["predicted"]) >= 10.0 else 3
     predicted = [
         (p["condition"], f"{p['rms_before_um']:z.{digits}f}", f"{p['rms_predicted_um']:z.{digits}f}")
-        for p in found["predicted"]
+        for p in correction["predicted"]
     ]
-    gates = [f"{'pass' if g['passed'] else 'FAIL'}  {g['gate']}: {g['reason']}" for g in found["gates"]]
+    gates = [f"{'pass' if g['passed'] else 'FAIL'}  {g['gate']}: {g['reason']}" for g in correction["gates"]]
     lines = [
-        f"twin {found['twin']} version {found['twin_version']} ({found['verdict']}) is version "
-        f"{found['version']} of {found['machine']}",
+        f"twin {correction['twin']} version {correction['twin_version']} ({correction['verdict']}) is version "
+        f"{correction['version']} of {correction['machine']}",
         table(("effect", "corrected", "grade", "how, or why not"), terms),
         "",
         table(("condition", "before, µm RMS", "predicted, µm RMS"), predicted),
-        *([found["by_others"]["told"]] if found["by_others"] else []),
+        *([correction["by_others"]["told"]] if correction["by_others"] else []),
         "",
         *gates,
-        *([f"left: {found['left']}"] if found["left"] else []),
+        *([f"left: {correction['left']}"] if correction["left"] else []),
     ]
-    promote = f"dtwin promote {found['version']} --machine {found['machine']}"
-    if found["trial_only"]:
-        lines += ["for a trial only: " + "; ".join(found["objections"]), f"next: {promote} --trial"]
-    elif found["virtual"]:
+    promote = f"dtwin promote {correction['version']} --machine {correction['machine']}"
+    if correction["trial_only"]:
+        lines += ["for a trial only: " + "; ".join(correction["objections"]), f"next: {promote} --trial"]
+    elif correction["virtual"]:
         lines.append(f"next: {promote}")
     else:
         lines.append(
             f"next: {promote} --trial, then measure with and without it; or, for a control "
-            f"that dtwin does not serve: dtwin export {found['twin']} --as FORM --out FILE"
+            f"that dtwin does not serve: dtwin export {correction['twin']} --as FORM --out FILE"
         )
     return "\n".join(lines)

@@ -16,46 +16,46 @@ _SHOWN = {"measured": "measured", "controller": "controller saw", "quasi_static"
 _COLOURS = dict(zip(_SHOWN, ("measured", "second", "third", "fourth"), strict=True))
 
 
-def tells(found: Mapping[str, Any] | None) -> bool:
+def tells(split: Mapping[str, Any] | None) -> bool:
     """Return whether the controller saw anything of the error; one that reports what it commanded saw nothing."""
-    return found is not None and found["parts"]["controller"]["rms_um"] > 0.0
+    return split is not None and split["parts"]["controller"]["rms_um"] > 0.0
 
 
-def encoder_text(found: Mapping[str, Any]) -> str:
-    """Return the split for the terminal. ``found``: ``encoder_split`` of a comparison."""
-    head, rows = _cells(found)
-    lines = ["", f"measured error by who can see it, µm RMS ± noise floor; {_said(found)}"]
-    return "\n".join([*lines, table(head, rows), *_notes(found)])
+def encoder_text(split: Mapping[str, Any]) -> str:
+    """Return the split for the terminal. ``split``: ``encoder_split`` of a comparison."""
+    head, rows = _cells(split)
+    lines = ["", f"measured error by who can see it, µm RMS ± noise floor; {_said(split)}"]
+    return "\n".join([*lines, table(head, rows), *_notes(split)])
 
 
-def encoder_section(found: Mapping[str, Any]) -> Section:
+def encoder_section(split: Mapping[str, Any]) -> Section:
     """Return ``encoder_split`` of a comparison as a section with a table and a plot."""
-    head, rows = _cells(found)
+    head, rows = _cells(split)
     return Section(
         "What the controller saw",
         [
             "Measured error = what the controller saw (encoder minus command, along the radius) "
-            f"+ quasi-static + dynamic error; {_said(found)}. Each cell: µm RMS over the runs of "
+            f"+ quasi-static + dynamic error; {_said(split)}. Each cell: µm RMS over the runs of "
             "the condition ± what its repeats disagree by.",
-            *_notes(found),
+            *_notes(split),
         ],
         [],
         [Table(head, rows)],
-        [_figure(found)],
+        [_figure(split)],
     )
 
 
-def _said(found: Mapping[str, Any]) -> str:
-    cutoff = found["cutoff"]
+def _said(split: Mapping[str, Any]) -> str:
+    cutoff = split["cutoff"]
     if "hz" in cutoff:
         return f"dynamic is above {cutoff['hz']:g} Hz"
     return f"dynamic is above {cutoff['cycles_per_rev']:g} cycles per revolution"
 
 
-def _cells(found: Mapping[str, Any]) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+def _cells(split: Mapping[str, Any]) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
     head = ("condition", "runs", *_SHOWN.values(), "correlation")
-    rows = [(_name(c), str(c["runs"]), *_figures(c)) for c in found["conditions"]]
-    rows.append(("all", str(found["runs"]), *_figures(found["parts"])))
+    rows = [(_name(c), str(c["runs"]), *_figures(c)) for c in split["conditions"]]
+    rows.append(("all", str(split["runs"]), *_figures(split["parts"])))
     return head, rows
 
 
@@ -65,25 +65,25 @@ def _figures(figures: Mapping[str, Any]) -> tuple[str, ...]:
     return (*sizes, _number(figures["controller_correlation"]))
 
 
-def _notes(found: Mapping[str, Any]) -> Iterator[str]:
+def _notes(split: Mapping[str, Any]) -> Iterator[str]:
     yield (
         "The parts add up at every angle; their squares do so only where the correlation of the "
         "controller's part with the rest is zero. A sharp step (lost motion at a reversal) has "
         "high frequencies too: its corner counts as dynamic."
     )
-    without = found["runs_without_controller"]
+    without = split["runs_without_controller"]
     if without:
         yield f"{len(without)} runs without the controller's positions are left out."
 
 
-def _figure(found: Mapping[str, Any]) -> go.Figure:
-    names = [_name(c) for c in found["conditions"]]
+def _figure(split: Mapping[str, Any]) -> go.Figure:
+    names = [_name(c) for c in split["conditions"]]
     figure = go.Figure(
         [
             go.Bar(
                 name=shown,
                 y=names,
-                x=[c[part]["rms_um"] for c in found["conditions"]],
+                x=[c[part]["rms_um"] for c in split["conditions"]],
                 orientation="h",
                 marker_color=COLOURS[_COLOURS[part]],
                 hovertemplate="%{y}: %{x:z.2f} µm<extra>" + shown + "</extra>",

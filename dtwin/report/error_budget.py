@@ -30,42 +30,42 @@ class _Spread(Protocol):
     def left_of_all(self) -> float: ...
 
 
-def budget_table(found: Budget, spread: _Spread, *, in_words: bool = True) -> Table:
+def budget_table(budget: Budget, spread: _Spread, *, in_words: bool = True) -> Table:
     """Return every cause, the largest first, and what is left without all of them; causes ``in_words``, or as commands take them."""
-    planes = list(found.shares[0].rms_um)[1:] if found.shares else []
+    planes = list(budget.shares[0].rms_um)[1:] if budget.shares else []
     several = planes if len(planes) > 1 else []
     head = ["cause", "its own RMS, µm", *(f"{p}, µm" for p in several), "left without it, µm", "largest P-V, µm"]
-    rows = [[share.title if in_words else share.label, *_row(share, spread, several)] for share in found.shares]
+    rows = [[share.title if in_words else share.label, *_row(share, spread, several)] for share in budget.shares]
     nothing = ["-"] * len(several)
-    rows.append(["as measured", "-", *nothing, _sure(found.error_um, spread.error), micrometres(found.largest_um)])
-    left = [_sure(found.left_um, spread.left_of_all), micrometres(found.left_largest_um)]
+    rows.append(["as measured", "-", *nothing, _sure(budget.error_um, spread.error), micrometres(budget.largest_um)])
+    left = [_sure(budget.left_um, spread.left_of_all), micrometres(budget.left_largest_um)]
     return Table(head, [*rows, ["without all of them", "-", *nothing, *left]])
 
 
-def unexplained_line(found: Budget) -> str:
+def unexplained_line(budget: Budget) -> str:
     """Return how much of what is left without all causes is none of noise."""
     return (
-        f"Of what is left without all of them, repeats agree on {micrometres(found.unexplained_um)} µm RMS: "
+        f"Of what is left without all of them, repeats agree on {micrometres(budget.unexplained_um)} µm RMS: "
         "the twin does not know it."
     )
 
 
-def remedies(found: Budget, *, in_words: bool = True) -> list[tuple[str, str]]:
+def remedies(budget: Budget, *, in_words: bool = True) -> list[tuple[str, str]]:
     """Return what to do about each cause; what may be nothing at all is not mended. Causes as in :func:`budget_table`."""
     return [
         (
             share.title if in_words else share.label,
             AS_ZERO if share.rms_um[""] <= share.uncertainty_um else share.remedy,
         )
-        for share in found.shares
+        for share in budget.shares
     ]
 
 
-def budget_text(found: Budget, spread: _Spread) -> str:
+def budget_text(budget: Budget, spread: _Spread) -> str:
     """Return the budget for the terminal."""
-    told = [f"{label}: {remedy}" for label, remedy in remedies(found, in_words=False)]
-    shown = budget_table(found, spread, in_words=False)
-    return "\n".join([table(shown.head, shown.rows), unexplained_line(found), SURE, "", *told])
+    told = [f"{label}: {remedy}" for label, remedy in remedies(budget, in_words=False)]
+    shown = budget_table(budget, spread, in_words=False)
+    return "\n".join([table(shown.head, shown.rows), unexplained_line(budget), SURE, "", *told])
 
 
 def _row(share: Share, spread: _Spread, planes: list[str]) -> list[str]:

@@ -33,11 +33,11 @@ def _by_ends(clauses: Mapping[str, str]) -> Mapping[tuple[str, str], list[_Claus
     What is said in more words comes first: ``{} ({} %)`` would be the end of a longer clause.
     """
     parted = [(clause.split("{}"), german) for clause, german in clauses.items() if "{}" in clause]
-    found = defaultdict[tuple[str, str], list[_Clause]](list)
+    by_ends = defaultdict[tuple[str, str], list[_Clause]](list)
     for n, (pieces, german) in enumerate(sorted(parted, key=lambda pair: -sum(map(len, pair[0])))):
         first, last = pieces[0], pieces[-1]
-        found[first[:2] if first[1:] else "", last[-2:] if last[1:] else ""].append((n, pieces, german))
-    return found
+        by_ends[first[:2] if first[1:] else "", last[-2:] if last[1:] else ""].append((n, pieces, german))
+    return by_ends
 
 
 _PIECES = _by_ends(_CLAUSES)
@@ -143,11 +143,11 @@ def _labels(text: str) -> str | None:
 
 def _sized(text: str, tell: Callable[[object], str]) -> str | None:
     """Return a number with its uncertainty and unit, with its name or without."""
-    found = _SIZE.fullmatch(text)
-    if found is None or (found["name"] or "scale") not in _TITLES:
+    match = _SIZE.fullmatch(text)
+    if match is None or (match["name"] or "scale") not in _TITLES:
         return None
-    size = tell(found["size"]).replace("about ", "etwa ")
-    return f"{_TITLES[found['name']]} {size}" if found["name"] else size
+    size = tell(match["size"]).replace("about ", "etwa ")
+    return f"{_TITLES[match['name']]} {size}" if match["name"] else size
 
 
 def _between(pieces: Sequence[str], text: str) -> list[str] | None:
@@ -156,16 +156,16 @@ def _between(pieces: Sequence[str], text: str) -> list[str] | None:
     if not middle:
         return [] if text == first else None
     *middle, last = middle
-    at, end, found = len(first), len(text) - len(last), []
+    at, end, parts = len(first), len(text) - len(last), []
     if at > end or not text.startswith(first) or not text.endswith(last):
         return None
     for piece in middle:
         after = text.find(piece, at, end)
         if after < 0:
             return None
-        found.append(text[at:after])
+        parts.append(text[at:after])
         at = after + len(piece)
-    return [*found, text[at:end]]
+    return [*parts, text[at:end]]
 
 
 def _name(text: str, tell: Callable[[object], str]) -> str | None:

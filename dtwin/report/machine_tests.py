@@ -16,19 +16,19 @@ _Told = Mapping[str, Any]
 _OPPOSITE = 0.1
 
 
-def joint_lines(found: Mapping[str, Any], library: Mapping[str, Effect], events: Sequence[Event] = ()) -> list[str]:
+def joint_lines(joint: Mapping[str, Any], library: Mapping[str, Effect], events: Sequence[Event] = ()) -> list[str]:
     """Return contradictions first, then what was settled, then what agrees.
 
-    ``found``: as ``Joint.as_dict`` gives it.
+    ``joint``: as ``Joint.as_dict`` gives it.
     ``events``: what is recorded of the machine.
     """
-    apart = [s for s in found["shared"] if s["apart"]]
-    agreed = [s for s in found["shared"] if not s["apart"]]
+    apart = [s for s in joint["shared"] if s["apart"]]
+    agreed = [s for s in joint["shared"] if not s["apart"]]
     return [
         *(_contradiction(s, events) for s in apart),
         *(
-            _settled(s, library, {test["campaign"]: test["started"] for test in found.get("tests", ())}, events)
-            for s in found["settled"]
+            _settled(s, library, {test["campaign"]: test["started"] for test in joint.get("tests", ())}, events)
+            for s in joint["settled"]
         ),
         *(_agreement(s) for s in agreed),
     ]

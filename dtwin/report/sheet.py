@@ -154,7 +154,9 @@ def sound_runs(runs: Sequence[Run]) -> tuple[list[Run], list[str]]:
     errors = {run.meta.run_id: [f for f in run.findings if f.severity == "error"] for run in runs}
     sound = [run for run in runs if not errors[run.meta.run_id]]
     what = "is not evaluated" if sound else "is evaluated, though not sound"
-    notes = [f"{name} {what}: {found[0].message.removesuffix('?')}." for name, found in errors.items() if found]
+    notes = [
+        f"{name} {what}: {findings[0].message.removesuffix('?')}." for name, findings in errors.items() if findings
+    ]
     return sound or list(runs), notes
 
 

@@ -35,7 +35,7 @@ class TwinReport(Protocol):
     def history_section(self, rungs: Sequence[Mapping[str, Any]], /) -> Section:
         """Return the versions of a twin for a report."""
 
-    def comparison_sections(self, found: Any, result: Mapping[str, Any], /) -> list[Section]:
+    def comparison_sections(self, comparison: Any, result: Mapping[str, Any], /) -> list[Section]:
         """Return a comparison for a report."""
 
 
@@ -88,7 +88,7 @@ def with_nan(diagnosis: Mapping[str, Any]) -> dict[str, Any]:
 
 def said_by_runs(findings: Sequence[Mapping[str, Any]]) -> str:
     """Return lines of what the runs of a campaign say against any model: an effect beside them may be but another name of it."""
-    return "".join(f"\nthe runs themselves say: {found['message']}" for found in findings)
+    return "".join(f"\nthe runs themselves say: {finding['message']}" for finding in findings)
 
 
 def report_of(document: Mapping[str, Any]) -> TwinReport:

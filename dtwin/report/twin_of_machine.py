@@ -80,15 +80,15 @@ def captioned(twin: Any) -> list[tuple[str, Table]]:
     return out
 
 
-def comparison_sections(found: Any, result: Mapping[str, Any]) -> list[Section]:
-    """Return measured against predicted, fit by fit; without ``found`` as text."""
-    if found is None:
+def comparison_sections(comparison: Any, result: Mapping[str, Any]) -> list[Section]:
+    """Return measured against predicted, fit by fit; without ``comparison`` as text."""
+    if comparison is None:
         return [Section("Measured against predicted", code=[comparison_text(result)])]
     return [
         made
         if any(name in made.title for name in one["campaign"].split(", "))
         else replace(made, title=f"{made.title}: {one['campaign']}")
-        for part, one in zip(found.parts, result["members"], strict=True)
+        for part, one in zip(comparison.parts, result["members"], strict=True)
         for made in report_of(one).comparison_sections(part, one)
     ]
 

@@ -36,7 +36,7 @@ class TermTwinReport(ABC):
         """Return what a diagnosis tells, line by line."""
 
     @abstractmethod
-    def figures(self, found: Any, result: Mapping[str, Any]) -> list[go.Figure]:
+    def figures(self, comparison: Any, result: Mapping[str, Any]) -> list[go.Figure]:
         """Draw a comparison."""
 
     def of(self, twin: Any) -> str:
@@ -66,9 +66,9 @@ class TermTwinReport(ABC):
         """Return a twin for a report."""
         return Section("The twin", [self.fell(twin.figures)], tables=[self.parameter_table(twin)])
 
-    def comparison_sections(self, found: Any, result: Mapping[str, Any]) -> list[Section]:
-        """Return a comparison for a report; without ``found`` as text."""
-        drawn = [] if found is None else self.figures(found, result)
+    def comparison_sections(self, comparison: Any, result: Mapping[str, Any]) -> list[Section]:
+        """Return a comparison for a report; without ``comparison`` as text."""
+        drawn = [] if comparison is None else self.figures(comparison, result)
         return [Section("Measured against predicted", [line.strip() for line in self.compared(result)], figures=drawn)]
 
     def history_section(self, rungs: Sequence[Mapping[str, Any]]) -> Section:

@@ -41,14 +41,14 @@ def record(kind: type[T], data: object, where: str, words: Mapping[str, Sequence
     ``words``: what a field of that name may say.
     """
     given = only_fields(data, [field.name for field in dataclasses.fields(kind)], where)
-    found: dict[str, Any] = {}
+    fields_read: dict[str, Any] = {}
     for field in dataclasses.fields(kind):
         value, place = given[field.name], f"{where}.{field.name}"
         if words and field.name in words:
-            found[field.name] = one_of(value, words[field.name], place)
+            fields_read[field.name] = one_of(value, words[field.name], place)
         else:
-            found[field.name] = _READERS[str(field.type)](value, place)
-    return kind(**found)
+            fields_read[field.name] = _READERS[str(field.type)](value, place)
+    return kind(**fields_read)
 
 
 def number(value: object, where: str) -> float:

@@ -48,10 +48,10 @@ class ProgramWatch:
 
     def hold(self, state: Floats, now_s: float) -> bool:
         """Tell whether the correction is to be held at zero for this state."""
-        found = _condition_of(state)
-        if found != self.condition:
-            self._change(found, now_s)
-        return found != "running" or now_s < self._free_at_s
+        condition = _condition_of(state)
+        if condition != self.condition:
+            self._change(condition, now_s)
+        return condition != "running" or now_s < self._free_at_s
 
     def reason(self, number: int, now_s: float, trouble: str = "") -> None:
         """Note why the guard acts when that has changed; what changes again and again is noted sparingly.

@@ -104,14 +104,14 @@ class Bundle:
 
     def _check_interface(self) -> None:
         names = [i.name for i in self.inputs] + list(self.intermediates)
-        for what, found in (
+        for what, got in (
             ("input", names),
             ("output", [o.name for o in self.outputs]),
             ("state", [s.name for s in self.states]),
             ("output frame", [o.frame for o in self.outputs]),
         ):
-            if len(set(found)) != len(found):
-                raise wrong(f"an {what} is declared twice", ", ".join(found)[:200])
+            if len(set(got)) != len(got):
+                raise wrong(f"an {what} is declared twice", ", ".join(got)[:200])
         if not self.outputs or set(self.tick_graph.outputs) != {o.name for o in self.outputs}:
             raise wrong("the outputs are not those of the graph", str(list(self.tick_graph.outputs)))
         unknown = set(self.tick_graph.inputs) - set(names)

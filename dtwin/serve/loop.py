@@ -207,7 +207,7 @@ class ServingLoop:
             self.decision.reset()
         self._segment = segment
         interval_s, step_s = now_s - self._last_s, stamp_s - self._last_stamp_s
-        found = self._found(stamp_s, interval_s, engaged=engaged)
+        fault = self._found(stamp_s, interval_s, engaged=engaged)
         if self._stamps.jump_s:
             # The clock was set: no state was missed for that.
             step_s = interval_s
@@ -220,7 +220,7 @@ class ServingLoop:
             elapsed_s=self._room_um() / self.decision.guard.limits.slew_um_s,
             enabled=True,
             stages=row,
-            found=found,
+            found=fault,
         )
         reason = self.decision.guard.reason
         trouble = self.decision.trouble if reason in (NOT_FINITE, IMPOSSIBLE) else ""

@@ -206,10 +206,10 @@ def _only_machine(home: Home, model: str = "latest") -> str:
 def served_version(machine: str, home: Home) -> int | None:
     """Return the version that is served as the champion of a machine, None when none is."""
     try:
-        found = resolve("latest", machine, home, harmless=True)
+        resolved = resolve("latest", machine, home, harmless=True)
     except (InputError, GateRefusal):
         return None
-    return found.version if found.state == "champion" else None
+    return resolved.version if resolved.state == "champion" else None
 
 
 def resolve(model: str, machine: str | None, home: Home, *, harmless: bool = False) -> Resolved:

@@ -136,17 +136,17 @@ class Served:
 
     def as_dict(self) -> dict[str, Any]:
         """Return a JSON-ready mapping."""
-        found = self.resolved
+        resolved = self.resolved
         return {
-            "machine": found.machine,
+            "machine": resolved.machine,
             "model": {
                 "asked": self.request.model,
-                "version": found.version,
-                "state": found.state,
-                "bundle": str(found.path),
-                "sha256": found.sha256,
-                "model_sha256": found.model_sha256,
-                "proved": found.proved,
+                "version": resolved.version,
+                "state": resolved.state,
+                "bundle": str(resolved.path),
+                "sha256": resolved.sha256,
+                "model_sha256": resolved.model_sha256,
+                "proved": resolved.proved,
             },
             "host": self.request.place,
             "device": self.device,

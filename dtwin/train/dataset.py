@@ -69,7 +69,7 @@ def load_ticks(
     lake: Lake, campaign: Campaign, rows: Sequence[Mapping[str, Any]], progress: Progress = silent
 ) -> list[TickRun]:
     """Read runs and bring them to the controller's clock, in the order of the rows; progress is told by run id."""
-    found: list[TickRun] = []
+    runs: list[TickRun] = []
     begun: deque[Future[TickRun]] = deque()
     with side_by_side() as (pool, step):
 
@@ -81,9 +81,9 @@ def load_ticks(
         for number, row in enumerate(rows, start=1):
             begun.append(pool.submit(aligned, lake.load(row)))
             while begun and (len(begun) > _AHEAD or number == len(rows)):
-                found.append(begun.popleft().result())
-                progress(len(found), len(rows), found[-1].meta.run_id)
-    return found
+                runs.append(begun.popleft().result())
+                progress(len(runs), len(rows), runs[-1].meta.run_id)
+    return runs
 
 
 def _tick_run(run: Run, campaign: Campaign) -> TickRun:

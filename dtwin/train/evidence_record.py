@@ -168,9 +168,9 @@ def gathered(
             )
         virtual = virtual or bool(known.machine_geometry.get("virtual", False))
         ways = [way for way in (WITHOUT, WITH) if name in campaigns.get(way, ())]
-        found, spared = _of_campaign(lake, name, ways, model_sha256)
-        _require_recorded(name, known.machine_geometry, found)
-        runs += found
+        evidence_runs, spared = _of_campaign(lake, name, ways, model_sha256)
+        _require_recorded(name, known.machine_geometry, evidence_runs)
+        runs += evidence_runs
         told += spared
     if virtual:
         return _Gathered(tuple(runs), "virtual", tuple(told))
@@ -182,7 +182,7 @@ def gathered(
 
 
 def _of_campaign(lake: Lake, name: str, ways: Sequence[Way], model_sha256: str) -> tuple[list[EvidenceRun], list[str]]:
-    found, told = [], []
+    runs, told = [], []
     strange: dict[str, list[str]] = {}
     for row in lake.runs(name):
         label, correction = f"{name}/{row['run_id']}", row["correction"]
@@ -194,10 +194,10 @@ def _of_campaign(lake: Lake, name: str, ways: Sequence[Way], model_sha256: str) 
         else:
             run = lake.load(row, signals=False)
             told += [f"{label} was amended by {record['who']}: {record['because']}" for record in row["amendments"]]
-            found.append(EvidenceRun(way, name, row["content_sha256"], run))
+            runs.append(EvidenceRun(way, name, row["content_sha256"], run))
     for correction, labels in strange.items():
         what = f"under {correction[:12]}" if correction else "without a recorded correction"
-        if len(ways) > 1 and any(run.way == WITH for run in found):
+        if len(ways) > 1 and any(run.way == WITH for run in runs):
             told.append(f"not counted: {', '.join(labels)}, measured {what}")
             continue
         way = ways[-1]
@@ -209,7 +209,7 @@ def _of_campaign(lake: Lake, name: str, ways: Sequence[Way], model_sha256: str) 
             allowed=f"runs under {model_sha256[:12]}" if way == WITH else "runs without a correction",
             hint="dtwin record and dtwin campaign write into the run what was served meanwhile",
         )
-    return found, told
+    return runs, told
 
 
 def _require_recorded(name: str, geometry: Mapping[str, Any], runs: Sequence[EvidenceRun]) -> None:

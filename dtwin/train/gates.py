@@ -120,12 +120,12 @@ def _errs(condition: Mapping[str, Any]) -> bool:
 
 
 def _held_out(metrics: Mapping[str, float]) -> Verdict:
-    found = {group: metrics.get(f"leave_{group}_out.r2", float("nan")) for group in ("feed_mm_min", "radius_mm")}
+    r2_of = {group: metrics.get(f"leave_{group}_out.r2", float("nan")) for group in ("feed_mm_min", "radius_mm")}
     told = ", ".join(
-        f"{group} out: " + ("not tested" if np.isnan(r2) else f"R² {r2:z.3f}") for group, r2 in found.items()
+        f"{group} out: " + ("not tested" if np.isnan(r2) else f"R² {r2:z.3f}") for group, r2 in r2_of.items()
     )
-    passed = all(np.isnan(r2) or r2 >= _MIN_R2 for r2 in found.values())
-    passed = passed and found["feed_mm_min"] >= _MIN_R2
+    passed = all(np.isnan(r2) or r2 >= _MIN_R2 for r2 in r2_of.values())
+    passed = passed and r2_of["feed_mm_min"] >= _MIN_R2
     return Verdict("held-out conditions", passed, f"{told}; at least {_MIN_R2}")
 
 

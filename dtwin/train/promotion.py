@@ -188,8 +188,8 @@ def _in_force(home: Home, machine: str) -> str:
     told = []
     for model in ("latest", "trial"):
         with contextlib.suppress(InputError, GateRefusal):
-            found = resolve(model, machine, home)
-            told.append(f"version {found.version} ({found.state})")
+            resolved = resolve(model, machine, home)
+            told.append(f"version {resolved.version} ({resolved.state})")
     return ", ".join(told) or "no version"
 
 

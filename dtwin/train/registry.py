@@ -195,8 +195,8 @@ class Registry:
     def versions(self, machine: str) -> list[RegisteredVersion]:
         """Return all versions of a machine's model, newest first."""
         name = model_name(machine)
-        found = every(self.client.search_model_versions, f"name='{name}'")
-        return _newest_first(machine, found, self.client.get_registered_model(name).aliases) if found else []
+        versions = every(self.client.search_model_versions, f"name='{name}'")
+        return _newest_first(machine, versions, self.client.get_registered_model(name).aliases) if versions else []
 
     def every_version(self) -> dict[str, list[RegisteredVersion]]:
         """Return all versions of every machine that has one, newest first."""
@@ -378,21 +378,19 @@ def model_name(machine: str) -> str:
     return f"{_PREFIX}{require_name(machine, 'the machine')}"
 
 
-def _newest_first(
-    machine: str, versions: Sequence[ModelVersion], aliases: Mapping[str, str]
-) -> list[RegisteredVersion]:
-    ordered = sorted(versions, key=lambda version: int(version.version), reverse=True)
+def _newest_first(machine: str, stored: Sequence[ModelVersion], aliases: Mapping[str, str]) -> list[RegisteredVersion]:
+    ordered = sorted(stored, key=lambda version: int(version.version), reverse=True)
     return [_registered(machine, version, aliases) for version in ordered]
 
 
-def _registered(machine: str, found: ModelVersion, aliases: Mapping[str, str]) -> RegisteredVersion:
+def _registered(machine: str, version: ModelVersion, aliases: Mapping[str, str]) -> RegisteredVersion:
     return RegisteredVersion(
         machine=machine,
-        version=str(found.version),
-        run_id=found.run_id or "",
-        aliases=tuple(sorted(alias for alias, number in aliases.items() if str(number) == str(found.version))),
-        tags={key: named_today(value) if key == "state" else value for key, value in found.tags.items()},
-        created=time.strftime("%Y-%m-%dT%H:%M:%S", time.gmtime(found.creation_timestamp / 1e3)),
+        version=str(version.version),
+        run_id=version.run_id or "",
+        aliases=tuple(sorted(alias for alias, number in aliases.items() if str(number) == str(version.version))),
+        tags={key: named_today(value) if key == "state" else value for key, value in version.tags.items()},
+        created=time.strftime("%Y-%m-%dT%H:%M:%S", time.gmtime(version.creation_timestamp / 1e3)),
     )
 
 

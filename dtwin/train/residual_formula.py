@@ -267,4 +267,4 @@ def _spectra(obs: Observations, residual_um: Floats) -> dict[_Circle, Complexes]
     for condition, spectrum in zip(obs.conditions, waves, strict=True):
         sign = 1.0 if condition.direction == "CCW" else -1.0
         out.setdefault((condition.plane, condition.radius_mm, sign), []).append(spectrum)
-    return {circle: np.array(found) for circle, found in out.items() if len(found) > 1}
+    return {circle: np.array(parts) for circle, parts in out.items() if len(parts) > 1}

@@ -98,8 +98,8 @@ def judge(runs: Sequence[CheckedRun]) -> Recheck:
     """
     pairs = _pairs(runs)
     level = _LEVEL / (len(pairs) + 1)
-    checks = [_check(_named(c), np.array(found), level) for c, found in pairs.items()]
-    checks.append(_together([np.array(found) for found in pairs.values()], level))
+    checks = [_check(_named(c), np.array(pairs_of), level) for c, pairs_of in pairs.items()]
+    checks.append(_together([np.array(pairs_of) for pairs_of in pairs.values()], level))
     return _verdict(checks)
 
 
@@ -143,15 +143,15 @@ def _pairs(runs: Sequence[CheckedRun]) -> dict[tuple[str, float, float], list[tu
     for run in runs:
         ways[run.condition, run.direction, run.block][run.compensated].append(run.rms_um)
     pairs: dict[tuple[str, float, float], list[tuple[float, float]]] = defaultdict(list)
-    for (condition, direction, block), found in ways.items():
-        if len(found[False]) != 1 or len(found[True]) != 1:
+    for (condition, direction, block), by_way in ways.items():
+        if len(by_way[False]) != 1 or len(by_way[True]) != 1:
             raise InputError(
                 "every block needs each circle once with and once without the correction",
                 code="recheck.pairs",
-                got=f"{_named(condition)} {direction}, block {block}: {len(found[True])} with, "
-                f"{len(found[False])} without",
+                got=f"{_named(condition)} {direction}, block {block}: {len(by_way[True])} with, "
+                f"{len(by_way[False])} without",
             )
-        pairs[condition].append((found[False][0], found[True][0]))
+        pairs[condition].append((by_way[False][0], by_way[True][0]))
     for condition, found_pairs in pairs.items():
         if len(found_pairs) < _FEWEST_PAIRS:
             raise InputError(

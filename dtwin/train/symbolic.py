@@ -168,9 +168,9 @@ class FittedFormula:
 def refit(front: Sequence[Found], inputs: Mapping[str, Floats], target: Floats) -> list[FittedFormula]:
     """Refit the constants of every formula on all rows; drop what is not finite."""
     fitted = []
-    for found in front:
+    for candidate in front:
         try:
-            formula, start = parse_formula(found.text, list(inputs))
+            formula, start = parse_formula(candidate.text, list(inputs))
         except InputError:
             continue
         constants = _refitted(formula, start, inputs, target)

@@ -101,10 +101,10 @@ def kept_several(
         return None
     # What several say of a candidate is where it was found, too.
     plain = [{name: value for name, value in one.items() if name != "campaign"} for one in document["candidates"]]
-    found = _diagnosis({**document, "candidates": plain})
-    own = {*found.as_dict(), MADE_FROM, MADE_BY, ALONE, "twin", "version", "campaign"} - {"candidates"}
+    diagnosis = _diagnosis({**document, "candidates": plain})
+    own = {*diagnosis.as_dict(), MADE_FROM, MADE_BY, ALONE, "twin", "version", "campaign"} - {"candidates"}
     more = {name: value for name, value in document.items() if name not in own}
-    return _Several(**vars(found), tests=tests, more=more)
+    return _Several(**vars(diagnosis), tests=tests, more=more)
 
 
 def kept_alone(path: Path, check_sums: Sequence[str]) -> list[Diagnosis | None]:
@@ -113,8 +113,8 @@ def kept_alone(path: Path, check_sums: Sequence[str]) -> list[Diagnosis | None]:
     ``check_sums``: of each.
     """
     documents = _stored(path).get(ALONE, [])
-    found = {document.get(MADE_FROM): document for document in documents}
-    return [_diagnosis(found[one]) if one and one in found else None for one in check_sums]
+    by_source = {document.get(MADE_FROM): document for document in documents}
+    return [_diagnosis(by_source[one]) if one and one in by_source else None for one in check_sums]
 
 
 def kept_document(path: Path, check_sums: Sequence[str]) -> dict[str, Any]:

@@ -41,14 +41,14 @@ class WithLearned(Mapping[str, Effect]):
 
     def __getitem__(self, name: str) -> Effect:
         path = self.folder / f"{name}.json"
-        found = _NAME.fullmatch(name)
-        if found is None or not path.exists():
+        match = _NAME.fullmatch(name)
+        if match is None or not path.exists():
             return self.library[name]
         try:
             text = str(json.loads(path.read_text(encoding="utf-8"))["text"])
-            if _name_of(found[1], text) != name:
+            if _name_of(match[1], text) != name:
                 raise ValueError("it is not what was written")
-            return _EFFECT[found[1]](name, text)
+            return _EFFECT[match[1]](name, text)
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise StoreError(
                 "a learned effect cannot be read", code="twin.formula", where=str(path), got=str(error)[:120]

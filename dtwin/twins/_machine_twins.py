@@ -270,10 +270,10 @@ class MachineTwins(TwinShelf):
         more: list[list[Any]] = [[] for _ in members]
         for name in names:
             told = [known_to(member, name, axis) for member in members]
-            if not any(found for found, _ in told):
+            if not any(known for known, _ in told):
                 raise _unknown(name, axis, members, [refused for _, refused in told if refused is not None])
-            for mine, (found, _) in zip(more, told, strict=True):
-                mine += found
+            for mine, (known, _) in zip(more, told, strict=True):
+                mine += known
         # All at once: time constants are found beside what else is named.
         return widened(members, terms, more)
 

@@ -58,9 +58,9 @@ class PathMember(Member):
     def of_cause(self, cause: Cause) -> Sequence[Term]:
         names = [name for name, effect in self.library.items() if cause_of(effect) == cause[0]]
         for name in names:
-            found, _ = known_to(self, name, cause[1])
-            if found:
-                return [term for term in found if key_of(term) == cause]
+            terms, _ = known_to(self, name, cause[1])
+            if terms:
+                return [term for term in terms if key_of(term) == cause]
         return ()
 
     def cause(self, term: Term) -> Cause:
@@ -104,8 +104,8 @@ class PathMember(Member):
 
     def told(self, twin: SeveralTwin, seed: int) -> Told:
         said = diagnose_several(twin, self.observations, self.library, seed=seed)
-        found, surely = (
+        named, surely = (
             tuple(tuple(f"{s.effect}:{s.axis}".rstrip(":") for s in group) for group in groups)
             for groups in (said.found, said.to_add(twin.labels, self.observations))
         )
-        return Told(said.as_dict(), found, surely)
+        return Told(said.as_dict(), named, surely)

@@ -57,16 +57,16 @@ def spread_budget(twin: Twin, obs: Observations, terms: Sequence[Term] = ()) -> 
         sizes = [_moves_um(obs, rest, moved, whole), _beside_um(obs, rest, moved), _repeats_um(obs, rest)]
         left[label] = float(np.hypot.reduce(sizes))
         every_moved += moved
-    found = budget(twin, obs, terms)
+    error_budget = budget(twin, obs, terms)
     error, rest = (_without_setup(obs, y) for y in (obs.y_um, obs.y_um - every))
     sure = float(np.hypot(_beside_um(obs, rest, every_moved), _repeats_um(obs, rest)))
-    return found, BudgetSpread(parts, left, _repeats_um(obs, error), sure)
+    return error_budget, BudgetSpread(parts, left, _repeats_um(obs, error), sure)
 
 
-def spread_as_dict(found: Budget, spread: BudgetSpread) -> dict[str, Any]:
+def spread_as_dict(error_budget: Budget, spread: BudgetSpread) -> dict[str, Any]:
     """Return both, JSON-ready; what is not known is None."""
     known = {name: None if np.isnan(value) else value for name, value in spread.left.items()}
-    made = found.as_dict()
+    made = error_budget.as_dict()
     for share in made["shares"]:
         mine = spread.parts[share["label"]]
         share["k2_um"] = {p: None if np.isnan(v) else v for p, v in mine.items()} | {"left": known[share["label"]]}

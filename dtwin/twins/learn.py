@@ -69,28 +69,28 @@ def learn_law(twins: AnyTwins, name: str, *, seed: int = 0) -> _Learned:
 def learn_formula(twins: AnyTwins, name: str, engine: Engine, *, seed: int = 0) -> _Learned:
     """Add a formula for what is left, found by symbolic regression; ``seed``: of permutations and of the search."""
     left = _unknown(twins, name, seed)
-    found = search_residual(left.obs, left.residual_um, engine, seed)
-    if found.gain <= 0.0:
-        got = f"{found.text[:120]}, gain {100 * found.gain:z.0f} %"
+    formula = search_residual(left.obs, left.residual_um, engine, seed)
+    if formula.gain <= 0.0:
+        got = f"{formula.text[:120]}, gain {100 * formula.gain:z.0f} %"
         hint = "measure more feeds or radii, or write the effect yourself"
         raise _does_not_hold(left.twin, "no formula holds on conditions that were left out", got, hint)
-    twin = twins.add(name, left.library.keep(found))
-    return _Learned(twin, found.gain, f"{_CONDITION}{left.of}, {found.groups}", f"\nformula, µm: {found.shown}")
+    twin = twins.add(name, left.library.keep(formula))
+    return _Learned(twin, formula.gain, f"{_CONDITION}{left.of}, {formula.groups}", f"\nformula, µm: {formula.shown}")
 
 
 def learn_map(twins: AnyTwins, name: str, *, seed: int = 0) -> _Learned:
     """Add a map of what is left at the same place of a circle at every feed; ``seed``: of permutations."""
     left = _unknown(twins, name, seed)
-    found = place_map(left.obs, left.residual_um)
-    if found.gain <= 0.0:
-        got = f"gain {100 * found.gain:z.0f} %"
+    places = place_map(left.obs, left.residual_um)
+    if places.gain <= 0.0:
+        got = f"gain {100 * places.gain:z.0f} %"
         hint = f"dtwin twin learn {name} looks for a law over feed and radius"
         raise _does_not_hold(left.twin, "what is left is not the same at every feed", got, hint)
     law = left.found.laws[0].equation if left.found.laws else ""
     other = f"dtwin twin restore {name} --version {left.twin.version}, then dtwin twin learn {name}"
     said = f"\na law may tell more of it: {law}; {other}" if law else ""
-    left_out = f"a plane and radius{left.of}, {found.groups}, and each feed"
-    return _Learned(twins.add(name, left.library.keep(found)), found.gain, left_out, said)
+    left_out = f"a plane and radius{left.of}, {places.groups}, and each feed"
+    return _Learned(twins.add(name, left.library.keep(places)), places.gain, left_out, said)
 
 
 def _does_not_hold(twin: AnyTwin, message: str, got: str, hint: str) -> GateRefusal:

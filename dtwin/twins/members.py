@@ -40,8 +40,8 @@ class Told:
 
 def told_from(result: Mapping[str, Any], groups: Mapping[str, Any]) -> Told:
     """Return what was told before, from how it was stored."""
-    found, surely = (tuple(map(tuple, groups[name])) for name in ("found", "surely"))
-    return Told(dict(result), found, surely, tuple(groups["idle"]))
+    named, surely = (tuple(map(tuple, groups[name])) for name in ("found", "surely"))
+    return Told(dict(result), named, surely, tuple(groups["idle"]))
 
 
 class Member(ABC):

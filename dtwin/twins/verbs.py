@@ -165,17 +165,17 @@ class Twins(TwinShelf):
             kept = kept_diagnosis(path, check_sum)
             if kept is not None:
                 return twin, kept
-            found = diagnose(obs, twin.terms, self.library, seed=seed)
-            found = replace(found, undecided=undecided(like_repeats(obs, found), twin.terms, self.library))
-            found = replace(found, next_experiment=next_experiment(obs, twin.terms, found, self.library))
-            return twin, self._keep(twin, found, loaded, {MADE_FROM: check_sum})
+            diagnosis = diagnose(obs, twin.terms, self.library, seed=seed)
+            diagnosis = replace(diagnosis, undecided=undecided(like_repeats(obs, diagnosis), twin.terms, self.library))
+            diagnosis = replace(diagnosis, next_experiment=next_experiment(obs, twin.terms, diagnosis, self.library))
+            return twin, self._keep(twin, diagnosis, loaded, {MADE_FROM: check_sum})
 
-    def _keep(self, twin: Twin, found: Diagnosis, loaded: Sequence[Loaded], about: Mapping[str, Any]) -> Diagnosis:
-        found = replace(found, told=tuple(line for one in loaded for line in data_lines(one.data)))
+    def _keep(self, twin: Twin, diagnosis: Diagnosis, loaded: Sequence[Loaded], about: Mapping[str, Any]) -> Diagnosis:
+        diagnosis = replace(diagnosis, told=tuple(line for one in loaded for line in data_lines(one.data)))
         document = {"twin": twin.name, "version": twin.version, "campaign": twin.campaign, **about}
-        self.store_diagnosis(document | found.as_dict())
+        self.store_diagnosis(document | diagnosis.as_dict())
         give_back_memory()
-        return found
+        return diagnosis
 
     def add(self, name: str, effect: str, axis: str = "") -> Twin:
         """Add an effect, refit, and store the new version.
@@ -241,17 +241,17 @@ class Twins(TwinShelf):
         groups: list[tuple[str, ...]] = []
         twin, said = self.diagnose(name, seed=seed)
         loaded = self._load(twin.campaigns)
-        found = _to_add(said.found, said, twin)
-        while found and len(made) < _MOST_RUNGS:
-            for number, (labels, effect, axis, shape) in enumerate(found, start=1):
+        to_add = _to_add(said.found, said, twin)
+        while to_add and len(made) < _MOST_RUNGS:
+            for number, (labels, effect, axis, shape) in enumerate(to_add, start=1):
                 # The diagnosis refined the shapes of all that it found together: once more is enough.
-                last = number == len(found)
+                last = number == len(to_add)
                 twin = self._added(twin, loaded, effect, axis, shape, refine=last, ahead=False)
                 made.append(twin)
                 groups.append(labels)
             tell(f"{name}: what is left beside {', '.join(twin.labels)}")
             _, said = self.diagnose(name, seed=seed)
-            found = _to_add(said.to_add(twin.labels, [one.obs for one in loaded]), said, twin)
+            to_add = _to_add(said.to_add(twin.labels, [one.obs for one in loaded]), said, twin)
         return made, groups, said
 
     def members(self, campaigns: Sequence[str]) -> Sequence[PathMember]:

@@ -42,7 +42,7 @@ def budget_page(request: Request, bench: Here, name: str, on: str = "") -> Respo
     """Show what each cause makes of the error of measured paths, and of the program that was evaluated last."""
     view = reading.view(bench, name, on=on)
     whole = paths_of(bench.home, bench.library, name)
-    found, spread = bench.cache.get(("budget", *view.key), lambda: spread_budget(view.twin, view.obs, whole.terms))
+    budget, spread = bench.cache.get(("budget", *view.key), lambda: spread_budget(view.twin, view.obs, whole.terms))
     diagnosis = reading.diagnosis_of(bench, name, whole.version)
     program = kept_already(bench.home, _KEPT, name)
     return rendered(
@@ -53,11 +53,11 @@ def budget_page(request: Request, bench: Here, name: str, on: str = "") -> Respo
         twin=whole,
         on=view.obs.campaign.name,
         campaigns=bench.campaigns_of(whole.machine, view.obs.campaign.kind),
-        measured=budget_table(found, spread),
+        measured=budget_table(budget, spread),
         sure=SURE,
-        remedies=remedies(found),
+        remedies=remedies(budget),
         doubts=undecided_lines(diagnosis, bench.library),
-        unexplained=unexplained_line(found),
+        unexplained=unexplained_line(budget),
         program=program and {**program, "table": Table(program["head"], _titled(program["rows"], bench.library))},
     )
 
@@ -76,8 +76,8 @@ def evaluate_program(bench: Here, name: str, wanted: _ProgramRequest) -> JSONRes
 
     def work() -> None:
         origin_mm = np.array([wanted.x_mm, wanted.y_mm, wanted.z_mm])
-        found = program_budget(twin, text, origin_mm=origin_mm, where=where)
-        _keep(bench, name, program_table(found), program_lines(found), file=where, version=twin.version)
+        budget = program_budget(twin, text, origin_mm=origin_mm, where=where)
+        _keep(bench, name, program_table(budget), program_lines(budget), file=where, version=twin.version)
 
     return begun(bench, f"Budget of {where}", f"/twins/{name}/budget", work, "follow the program")
 

@@ -299,7 +299,7 @@ def _newest_lines(path: Path) -> list[Mapping[str, Any]]:
         size = file.seek(0, os.SEEK_END)
         file.seek(max(0, size - _TAIL_BYTES))
         lines = file.read().splitlines()
-    found: list[Mapping[str, Any]] = []
+    newest: list[Mapping[str, Any]] = []
     for line in lines[-_NEWEST:]:
         try:
             said = json.loads(line)
@@ -307,8 +307,8 @@ def _newest_lines(path: Path) -> list[Mapping[str, Any]]:
             # The first line may be cut.
             continue
         if isinstance(said, dict):
-            found.append(said)
-    return found
+            newest.append(said)
+    return newest
 
 
 def _locked_inodes() -> dict[int, int]:

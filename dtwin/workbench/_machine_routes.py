@@ -244,8 +244,8 @@ def series(bench: Here, name: str, of: str) -> Response:
     """Return the picture of a figure over time."""
     history = bench.history(name)
     if of in history["others"]:
-        found, *_ = other_series(bench.home, history, of)
-        return drawn(series_figure(found, history["events"]))
+        others, *_ = other_series(bench.home, history, of)
+        return drawn(series_figure(others, history["events"]))
     return drawn(series_figure(_series(history, of), history["events"]))
 
 

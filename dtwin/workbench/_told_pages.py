@@ -93,12 +93,12 @@ def _comparison(bench: Bench, name: str, on: str) -> tuple[dict[str, Any], list[
     key = ("compared", name, twin.version, made, *campaigns, *map(bench.stamp, campaigns))
 
     def compared() -> tuple[dict[str, Any], list[go.Figure]]:
-        found = twins.compare(name, on or None)
-        result = found.as_dict()
+        comparison = twins.compare(name, on or None)
+        result = comparison.as_dict()
         each = (
-            zip(found.parts, result["members"], strict=True)
-            if isinstance(found, MachineComparison)
-            else [(found, result)]
+            zip(comparison.parts, result["members"], strict=True)
+            if isinstance(comparison, MachineComparison)
+            else [(comparison, result)]
         )
         told = [(part, one) for part, one in each if not isinstance(part, Comparison | SeveralComparison)]
         sections = [section for part, one in told for section in report_of(one).comparison_sections(part, one)]

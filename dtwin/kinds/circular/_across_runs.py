@@ -70,11 +70,11 @@ def across_findings(runs: Sequence[Run]) -> list[Finding]:
     """Return spoilt readings and repeats that disagree; of runs without samples nothing."""
     whole = [run for run in runs if _can_be_judged(run)]
     spoilt = _spoilt_readings(whole)
-    found = [finding] if (finding := _spoilt_finding(spoilt)) is not None else []
+    findings = [finding] if (finding := _spoilt_finding(spoilt)) is not None else []
     names = {s.run for s in spoilt}
     binned = [(run, _binned(run)) for run in whole]
     differing = _differing_finding([one for one in binned if one[0].meta.run_id not in names])
-    return [*found, *([] if differing is None else [differing]), *_of_another_unit(binned)]
+    return [*findings, *([] if differing is None else [differing]), *_of_another_unit(binned)]
 
 
 def _of_another_unit(runs: Sequence[tuple[Run, Floats]]) -> Iterator[Finding]:
@@ -103,9 +103,9 @@ def with_spoilt_told(runs: Sequence[Run]) -> list[Run]:
     by_run: dict[str, list[_Spoilt]] = {}
     for spoilt in _spoilt_readings([run for run in runs if _can_be_judged(run)]):
         by_run.setdefault(spoilt.run, []).append(spoilt)
-    found = {name: finding for name, own in by_run.items() if (finding := _spoilt_finding(own)) is not None}
+    told = {name: finding for name, own in by_run.items() if (finding := _spoilt_finding(own)) is not None}
     return [
-        replace(run, findings=(*run.findings, found[run.meta.run_id])) if run.meta.run_id in found else run
+        replace(run, findings=(*run.findings, told[run.meta.run_id])) if run.meta.run_id in told else run
         for run in runs
     ]
 
@@ -123,7 +123,7 @@ def _spoilt_readings(runs: Sequence[Run]) -> list[_Spoilt]:
     other quadrants, and other runs at the same angle, have one, too.
     """
     offs = [_off(run) for run in runs]
-    found = []
+    spoilt = []
     for run, own in zip(runs, offs, strict=True):
         others = [
             off
@@ -139,8 +139,8 @@ def _spoilt_readings(runs: Sequence[Run]) -> list[_Spoilt]:
             if abs(own.off_um[row]) > _APART * known:
                 first = run.marked.start or 0
                 size = float(own.mean_um[row])
-                found.append(_Spoilt(run.meta.run_id, first + row, angle % 360.0, size, own.usual_um))
-    return found
+                spoilt.append(_Spoilt(run.meta.run_id, first + row, angle % 360.0, size, own.usual_um))
+    return spoilt
 
 
 def _off(run: Run) -> _Off:
@@ -165,7 +165,7 @@ def _candidates(own: _Off) -> list[int]:
     Reversals make spikes: at quadrants and between them are judged each by itself.
     """
     size, quadrant = np.abs(own.off_um), _at_quadrant(own.angle_deg)
-    found: list[int] = []
+    likely: list[int] = []
     for here in (quadrant, ~quadrant):
         rows = np.flatnonzero(here)
         places: list[int] = []
@@ -175,8 +175,8 @@ def _candidates(own: _Off) -> list[int]:
         # One place more than may be spoilt tells what else the run stands off by.
         usual = size[places[_MOST_PLACES]] if len(places) > _MOST_PLACES else 0.0
         limit = max(_FAR * own.usual_um, _APART * usual, _LEAST_UM)
-        found += [row for row in places[:_MOST_PLACES] if size[row] > limit]
-    return sorted(found)
+        likely += [row for row in places[:_MOST_PLACES] if size[row] > limit]
+    return sorted(likely)
 
 
 def _at_quadrant(angle_deg: Floats) -> NDArray[np.bool_]:

@@ -53,11 +53,11 @@ def measured_circles(
     ways: dict[str, list[Run]] = {"measured": [], "oracle": []}
     acted: dict[str, dict[str, float]] = {}
     with ProcessPoolExecutor(processors(), initializer=end_with, initargs=(os.getpid(),)) as pool:
-        for done, found in enumerate(pool.map(_measure_condition, jobs), start=1):
+        for done, condition_runs in enumerate(pool.map(_measure_condition, jobs), start=1):
             plane, radius, feed = plan.conditions[done - 1]
             condition = {"plane": plane, "radius_mm": radius, "feed_mm_min": feed}
             counts = []
-            for way, run, guard in found:
+            for way, run, guard in condition_runs:
                 ways["oracle" if way == "oracle" else "measured"].append(run)
                 counts += [guard] if way == "compensated" else []
             acted[condition_name(condition)] = guard_shares(counts)

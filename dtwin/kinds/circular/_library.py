@@ -100,13 +100,13 @@ class Library:
         used = [name for name in PATH_INPUTS if name in graph.inputs]
         places = np.array([PATH_INPUTS.index(name) for name in used], dtype=np.intp)
         tape = Tape(graph, used, {k: self.initial[k] for k in live}, list(outputs))
-        found = []
+        columns = []
         for run in runs:
             tape.reset()
             inputs = run.inputs[:, places] if live else run.inputs[np.ix_(run.arc, places)]
             values = tape.run_many(inputs.astype(float))
-            found.append((values[run.arc] if live else values).astype(np.float32))
-        return found
+            columns.append((values[run.arc] if live else values).astype(np.float32))
+        return columns
 
     def live_states(self, outputs: Mapping[str, Expression]) -> list[str]:
         """Return the states that outputs read, directly or through other states, sorted."""

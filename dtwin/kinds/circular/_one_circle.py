@@ -63,10 +63,10 @@ def require_one_circle(
         names = set(cells) - {""}
         if len(names) < 2 or _FEWEST * len(names) > len(body) or any(":" in name for name in names):
             continue
-        found = _blocks(cells, angle_deg, ways)
+        blocks = _blocks(cells, angle_deg, ways)
         one_way = _CONDITION.search(column.head) is None
-        for n, block in enumerate(found):
-            for other in found[:n]:
+        for n, block in enumerate(blocks):
+            for other in blocks[:n]:
                 again = len(block.places & other.places) * _BIN_DEG >= _LEAST_DEG
                 if block.said != other.said and again and not (one_way and block.way != other.way):
                     raise InputError(

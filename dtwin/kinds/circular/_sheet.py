@@ -117,11 +117,11 @@ def _is_radius(symbol: str) -> bool:
 
 def _with_contributions(c: Characteristic, radius_mm: float, under: Circumstances) -> Characteristic:
     """Say what makes a figure uncertain: differences of readings by the instrument, radii by their length, too."""
-    found = [under.reading(_READING_UM), *under.environment(c.repeats)]
+    contributions = [under.reading(_READING_UM), *under.environment(c.repeats)]
     if _is_radius(c.symbol):
         length = under.stated("calibration_um", _LENGTH_UM)
         aslant = under.stated("height_difference_mm", _ASLANT_MM)
-        found += [
+        contributions += [
             Contribution(
                 "calibrated length", length.value / 2, length.basis("µm (k = 2)"), assumed=length.assumed, zero=True
             ),
@@ -133,7 +133,7 @@ def _with_contributions(c: Characteristic, radius_mm: float, under: Circumstance
             ),
             *under.length(radius_mm / 1000.0),
         ]
-    return replace(c, contributions=tuple(found))
+    return replace(c, contributions=tuple(contributions))
 
 
 def _centred_um(arc: tuple[Floats, Floats], radius_mm: float) -> Floats:
@@ -144,12 +144,12 @@ def _centred_um(arc: tuple[Floats, Floats], radius_mm: float) -> Floats:
 
 def _pairs(runs: Sequence[Run]) -> list[tuple[Run, Run]]:
     """Return the runs of both directions that belong together: same set-up, in their order."""
-    found = []
+    pairs = []
     for setup in dict.fromkeys(run.meta.setup for run in runs):
         ways = [[r for r in runs if r.meta.setup == setup and r.meta.direction == way] for way in _WAYS]
         ordered = [sorted(way, key=lambda r: r.meta.repeat) for way in ways]
-        found += list(zip(*ordered, strict=False))
-    return found
+        pairs += list(zip(*ordered, strict=False))
+    return pairs
 
 
 def both_ways_figure(runs: Sequence[Run]) -> go.Figure:

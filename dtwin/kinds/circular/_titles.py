@@ -91,9 +91,9 @@ def told_above(path: Path) -> Mapping[str, Any]:
     told: dict[str, Any] = {}
     for name, form in _TOLD_ABOVE:
         # A radius without a unit may be one of a tool, or a result.
-        found = [(m, title[m.end() :]) for title in titles for m in form.finditer(title)]
+        matches = [(m, title[m.end() :]) for title in titles for m in form.finditer(title)]
         read = {
-            (m[1], "mm" if name == "radius_mm" else m[form.groups] or "mm") for m, rest in found if _has_unit(m, rest)
+            (m[1], "mm" if name == "radius_mm" else m[form.groups] or "mm") for m, rest in matches if _has_unit(m, rest)
         }
         if len(read) == 1:
             (number, unit), *_ = read

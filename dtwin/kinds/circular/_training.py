@@ -101,17 +101,17 @@ def train_campaign(
         scores = {group: score(rows, predicted, group) for group, predicted in left_out.items()}
         fresh_um = score(rows, predicted_fresh(fit), "run_id").rms_um
         floor, freedom = noise_floor_um(rows)
-        found = baselines(compared)
+        candidates = baselines(compared)
         for done, (job, recipe) in enumerate(zip(jobs, usable, strict=True), start=1):
-            found.append(job.result())
+            candidates.append(job.result())
             progress("comparison models", done, len(usable), recipe.name)
-        found.append(symbolic.result())
-    found.append(
+        candidates.append(symbolic.result())
+    candidates.append(
         _physics_candidate(fit, scores, fresh_um, campaign.machine, horizon_s=horizon_s, table_versions=versions)
     )
     # With nothing else running: what a model takes is a matter of microseconds.
-    found = [replace(c, latency=latency_of(c)) for c in found]
-    found.sort(key=lambda c: c.held_out.rms_um)
+    candidates = [replace(c, latency=latency_of(c)) for c in candidates]
+    candidates.sort(key=lambda c: c.held_out.rms_um)
     report = TrainingReport(
         machine=campaign.machine,
         campaign=name,
@@ -121,8 +121,8 @@ def train_campaign(
         rms_before_um=rows.rms_um(rows.target_um),
         n_runs=len(runs),
         n_rows=rows.n,
-        candidates=tuple(found),
-        proposed=_proposed(found),
+        candidates=tuple(candidates),
+        proposed=_proposed(candidates),
         seed=seed,
     )
     trained = sorted({(r["plane"], r["radius_mm"], r["feed_mm_min"]) for r in rows_})

@@ -181,9 +181,9 @@ def _band(path: _Path, kept: Twin, obs: Observations) -> Band | None:
     factor = parameter_factor(path.twin, kept, obs)
     if factor is None:
         return None
-    found = [path.regressors(term) for term in kept.terms]
+    columns = [path.regressors(term) for term in kept.terms]
     halves = {
-        plane: half_width(path.builder, [column for by_plane in found for column in by_plane[plane]], factor)
+        plane: half_width(path.builder, [column for by_plane in columns for column in by_plane[plane]], factor)
         for plane in kept.box.planes
     }
     return band(path.builder, OUTPUT, _by_plane(path.builder, halves, kept.box.planes))

@@ -45,7 +45,7 @@ _NEAR = 0.06
 
 def _slipped(series: Series) -> list[Finding]:
     """Return the sensors that stepped alone between two readings and stayed: what heats a machine steps no sensor so, or several."""
-    found = []
+    findings = []
     for channel, steps in slips(series).items():
         for step in steps:
             said = (
@@ -53,8 +53,8 @@ def _slipped(series: Series) -> list[Finding]:
                 "and no other sensor does: it slipped or was touched, or what it sits on was flooded; fits are made without the step, and what "
                 "follows from it is suspect"
             )
-            found.append(Finding("drift.sensor_steps", "warning", said, {"step_k": step.size}))
-    return found
+            findings.append(Finding("drift.sensor_steps", "warning", said, {"step_k": step.size}))
+    return findings
 
 
 def judge_drift(run: Run) -> list[Finding]:
@@ -193,16 +193,16 @@ def drift_figures(runs: Sequence[Run], progress: Progress = silent) -> dict[str,
 def drift_lines(result: Mapping[str, Any]) -> list[str]:
     """Return what :func:`drift_figures` gave as lines."""
     lines: list[str] = []
-    for run, found in result.items():
-        if found is None:
+    for run, figures in result.items():
+        if figures is None:
             lines.append(f"{run}: not fitted, see the findings")
             continue
-        floor = "not known" if found["floor_um"] is None else f"{found['floor_um']:z.2f} µm"
-        lines += ["", f"{run}: {found['readings']} readings over {found['hours']:z.1f} h, noise floor {floor}"]
-        rows = [_row("temperatures at once", found["steady"])]
-        rows += [_row(f"and {step['said']}", step["model"]) for step in found["missing"]]
+        floor = "not known" if figures["floor_um"] is None else f"{figures['floor_um']:z.2f} µm"
+        lines += ["", f"{run}: {figures['readings']} readings over {figures['hours']:z.1f} h, noise floor {floor}"]
+        rows = [_row("temperatures at once", figures["steady"])]
+        rows += [_row(f"and {step['said']}", step["model"]) for step in figures["missing"]]
         lines += table(("model", "left, µm", "held out, µm", "R²", "µm/K, ± 95 %"), rows).splitlines()
-        lines.append(found["verdict"])
+        lines.append(figures["verdict"])
     return lines
 
 

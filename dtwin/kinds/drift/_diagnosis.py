@@ -139,10 +139,10 @@ def explained_together(series: Series, terms: Sequence[Term]) -> tuple[Term, ...
     """Return what a search finds in the place of terms that begins with every sensor and explains all but noise, or that goes on
     past what is not sure; nothing where terms do as well.
     """
-    found: tuple[Term, ...] = ()
+    explained: tuple[Term, ...] = ()
     if beside_noise(series, rms(held_out_um(series, terms)))[0] == "unknown_effect":
-        found = together(series, terms, _BEYOND * _noise_um(series))
-    return found or further(series, terms)
+        explained = together(series, terms, _BEYOND * _noise_um(series))
+    return explained or further(series, terms)
 
 
 def _noise_um(series: Series) -> float:

@@ -94,8 +94,8 @@ def further(series: Series, terms: Sequence[Term]) -> tuple[Term, ...]:
     """Return what a search finds that goes on past what is not sure, where in the end all is sure and surely less is left than by
     terms; else nothing.
     """
-    found = _sure_of(series, _searched(series, terms))
-    return () if is_no_less(held_out(series, terms).squares, held_out(series, found).squares) else found
+    more = _sure_of(series, _searched(series, terms))
+    return () if is_no_less(held_out(series, terms).squares, held_out(series, more).squares) else more
 
 
 def together(series: Series, terms: Sequence[Term], most_um: float) -> tuple[Term, ...]:
@@ -104,30 +104,30 @@ def together(series: Series, terms: Sequence[Term], most_um: float) -> tuple[Ter
 
     A sensor may tell nothing while others are absent. What takes less than half may stand for what no term describes.
     """
-    found = _searched(series, [Term("steady", channel) for channel in series.temperatures_c])
-    model = held_out(series, found)
+    chosen = _searched(series, [Term("steady", channel) for channel in series.temperatures_c])
+    model = held_out(series, chosen)
     if not model.squares.sum() <= len(series.t_s) * most_um**2:
         return ()
-    while found:
-        takes = [share_taken(without, model.squares) for without in without_each(model, found)]
+    while chosen:
+        takes = [share_taken(without, model.squares) for without in without_each(model, chosen)]
         if min(takes) >= _FAR_LESS:
             break
-        found = rung(found, None, [found[int(np.argmin(takes))]])
-        model = held_out(series, found)
-    found = _sure_of(series, found)
-    return () if is_no_less(held_out(series, terms).squares, held_out(series, found).squares) else found
+        chosen = rung(chosen, None, [chosen[int(np.argmin(takes))]])
+        model = held_out(series, chosen)
+    chosen = _sure_of(series, chosen)
+    return () if is_no_less(held_out(series, terms).squares, held_out(series, chosen).squares) else chosen
 
 
 def _searched(series: Series, terms: Sequence[Term]) -> tuple[Term, ...]:
     """Return what a search ends with that begins with terms."""
-    found = tuple(terms)
+    chosen = tuple(terms)
     for _ in range(MOST_RUNGS):
-        best = next((one for one in additions(series, found) if one.pays), None)
-        gone = idle(series, found) if best is None else ()
+        best = next((one for one in additions(series, chosen) if one.pays), None)
+        gone = idle(series, chosen) if best is None else ()
         if best is None and not gone:
             break
-        found = rung(found, best, gone)
-    return found
+        chosen = rung(chosen, best, gone)
+    return chosen
 
 
 def _sure_of(series: Series, terms: tuple[Term, ...]) -> tuple[Term, ...]:

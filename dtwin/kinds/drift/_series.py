@@ -47,7 +47,7 @@ def _without_steps(series: Series) -> Series:
         channel: _without(series.t_s, values, slipped.get(channel, ()))
         for channel, values in series.temperatures_c.items()
     }
-    at_s = {step.at_s for found in (steps, *slipped.values()) for step in found}
+    at_s = {step.at_s for steps_of_one in (steps, *slipped.values()) for step in steps_of_one}
     return replace(
         series,
         moved_um=_without(series.t_s, series.moved_um, steps),
@@ -74,7 +74,7 @@ def shifts(series: Series) -> list[_Shift]:
     span = float(np.subtract(*np.percentile(moved, [98.0, 2.0])))
     usual = usual_size(steps - np.median(steps))
     large = np.abs(steps) > max(_TIMES_USUAL * usual, _OF_SPAN * span)
-    found = []
+    shifted = []
     for i in map(int, np.flatnonzero(large & (pauses > 0.0) & (pauses <= _PAUSE * np.median(pauses)))):
         begin, end = i + 1 - _BESIDE, i + 1 + _BESIDE
         if begin < 0 or end > len(moved):
@@ -86,22 +86,22 @@ def shifts(series: Series) -> list[_Shift]:
         columns = np.column_stack([np.ones(len(time)), time, time >= 0.0])
         size = float(np.linalg.lstsq(columns, moved[near], rcond=None)[0][2])
         if size / steps[i] > _STAYS:
-            found.append(_Shift(float(series.t_s[label == i + 1].min()), size))
-    return found
+            shifted.append(_Shift(float(series.t_s[label == i + 1].min()), size))
+    return shifted
 
 
 def slips(series: Series) -> dict[str, list[_Shift]]:
     """Return the steps of sensors that stepped alone between two readings and stayed: what heats a machine steps no sensor so, or
     several.
     """
-    found: dict[str, list[_Shift]] = {}
+    slipped: dict[str, list[_Shift]] = {}
     for channel, values in series.temperatures_c.items():
         for step in shifts(replace(series, moved_um=values)):
             at = int(np.flatnonzero(series.t_s == step.at_s)[0])
             others = [np.abs(v[at] - v[at - 1]) for name, v in series.temperatures_c.items() if name != channel]
             if _SLIP_C <= abs(step.size) <= _OTHER_UNIT_C and max(others, default=0.0) < 0.5 * abs(step.size):
-                found.setdefault(channel, []).append(step)
-    return found
+                slipped.setdefault(channel, []).append(step)
+    return slipped
 
 
 def sense(condition: Mapping[str, Any], where: str) -> float:

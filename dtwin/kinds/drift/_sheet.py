@@ -50,10 +50,10 @@ def drift_sheet(runs: Sequence[Run], under: Circumstances) -> Sheet:
                 notes.append(
                     f"{run.meta.run_id}: no sample was read twice; U takes what readings that follow each other scatter by."
                 )
-        found = [("d", "range of the drift", moved)]
+        rows = [("d", "range of the drift", moved)]
         if hours:
             worst = max(hours, key=lambda hour: np.ptp(moved[hour]))
-            found.append(("d(1 h)", "range in one hour", moved[worst]))
+            rows.append(("d(1 h)", "range in one hour", moved[worst]))
         else:
             notes.append(f"{run.meta.run_id}: no hour holds two readings, so the range in one hour is not known.")
         figures = tuple(
@@ -66,7 +66,7 @@ def drift_sheet(runs: Sequence[Run], under: Circumstances) -> Sheet:
                 dof,
                 contributions=under.probe(_READING_UM, float(np.ptp(of))),
             )
-            for symbol, name, of in found
+            for symbol, name, of in rows
         )
         title = f"{run.meta.run_id}, {(t_s[-1] - t_s[0]) / _HOUR_S:z.1f} h"
         parts.append(Part(title, (run.meta.run_id,), figures, sound))
@@ -76,15 +76,15 @@ def drift_sheet(runs: Sequence[Run], under: Circumstances) -> Sheet:
 
 def variation(runs: Sequence[Run], campaign: str) -> Variation | None:
     """Return the mean range within one hour of the logs of a machine at rest, the largest of several logs."""
-    found = []
+    variations = []
     for run in runs:
         sound = not any(f.severity == "error" for f in run.findings)
         if sound and run.meta.condition.get("test") == _AT_REST and len(run.samples["t_s"]) > 1:
             t_s, moved = _means(series_of(run, as_read=True))
             hours = min(1.0, float(t_s[-1] - t_s[0]) / _HOUR_S)
             ranges = [np.ptp(moved[hour]) for hour in _hours(t_s)]
-            found += [Variation(float(np.mean(ranges)), round(hours, 2), campaign)] if ranges else []
-    return max(found, key=lambda one: one.range_um, default=None)
+            variations += [Variation(float(np.mean(ranges)), round(hours, 2), campaign)] if ranges else []
+    return max(variations, key=lambda one: one.range_um, default=None)
 
 
 def drift_figure(runs: Sequence[Run]) -> go.Figure:

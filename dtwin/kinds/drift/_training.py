@@ -83,7 +83,7 @@ def train_drift(
     progress("candidates", 2, 2, "what that lacks")
     forms = {"temperatures at once": base, **({"temperatures late": steps[-1].fitted} if steps else {})}
     (axis,) = axes
-    made = [log_candidate(title, found, series, campaign.machine, axis, versions) for title, found in forms.items()]
+    made = [log_candidate(title, form, series, campaign.machine, axis, versions) for title, form in forms.items()]
     candidates = sorted([_zero(series), *made], key=lambda c: c.held_out.rms_um)
     report = TrainingReport(
         machine=campaign.machine,

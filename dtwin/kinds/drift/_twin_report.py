@@ -83,17 +83,17 @@ class _DriftReport(TermTwinReport):
             return [*lines, "nothing to add"]
         return [*lines, f"remedy: {best['remedy']}", f"try: dtwin twin add {name} {best['label']}"]
 
-    def figures(self, found: DriftComparison, result: Mapping[str, Any]) -> list[go.Figure]:
+    def figures(self, comparison: DriftComparison, result: Mapping[str, Any]) -> list[go.Figure]:
         """Draw the log and the twin over the time, and what is left."""
         # Commands that print no figure do not wait for plotly.
         from dtwin.report.plots import error_figure
 
-        series, hours = found.loaded.series, found.loaded.series.t_s / 3600.0
-        curves = {"measured": (hours, series.moved_um), "twin": (hours, series.moved_um - found.left_um)}
+        series, hours = comparison.loaded.series, comparison.loaded.series.t_s / 3600.0
+        curves = {"measured": (hours, series.moved_um), "twin": (hours, series.moved_um - comparison.left_um)}
         over_time = partial(error_figure, x_title="time, h", y_title="displacement, µm")
         return [
             over_time(curves, title="Measured and twin"),
-            over_time({"left": (hours, found.left_um)}, title="What the twin leaves"),
+            over_time({"left": (hours, comparison.left_um)}, title="What the twin leaves"),
         ]
 
     def fell(self, figures: Mapping[str, float | None]) -> str:

@@ -145,8 +145,10 @@ class DriftTwins(TermTwins[Term, Loaded, DriftTwin, DriftDiagnosis]):
             made.append(twin)
             groups += [group] if group else []
             said = self._diagnosed(twin, loaded)
-        if found := explained_together(loaded.series, twin.terms):
-            twin = self._store(name, loaded, found, f"begin anew: {', '.join(map(written, found))}", twin.version)
+        if explained := explained_together(loaded.series, twin.terms):
+            twin = self._store(
+                name, loaded, explained, f"begin anew: {', '.join(map(written, explained))}", twin.version
+            )
             made.append(twin)
             groups += [(label,) for label in twin.labels]
             said = self._diagnosed(twin, loaded)

@@ -184,12 +184,12 @@ def asked(test: LinearTest) -> list[str]:
 
 def contributions(under: Circumstances, symbol: str, test: LinearTest) -> tuple[Contribution, ...]:
     """Say what makes a figure uncertain: R and B compare readings of one target, the others readings along the axis."""
-    found = [under.reading(_READING_UM), *under.environment(test.forward_um.shape[1])]
+    parts = [under.reading(_READING_UM), *under.environment(test.forward_um.shape[1])]
     if symbol[0] in "AEM":
         travel_mm = float(np.ptp(test.position_mm))
         scale = under.stated("uncertainty_um_per_m", _SCALE_UM_PER_M)
         aslant = under.stated("alignment_mm", min(_ASLANT_MM, _MOST_ASLANT * travel_mm))
-        found += [
+        parts += [
             Contribution(
                 "instrument's scale",
                 scale.value / 2 * travel_mm / 1000.0,
@@ -204,4 +204,4 @@ def contributions(under: Circumstances, symbol: str, test: LinearTest) -> tuple[
             ),
             *under.length(travel_mm / 1000.0),
         ]
-    return tuple(found)
+    return tuple(parts)

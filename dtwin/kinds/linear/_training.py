@@ -128,10 +128,10 @@ def train_positioning(
     left = _held_out(test, screw, seed, progress)
     floor = noise_floor_um(test)
     models = _fitted(averages_of(test), screw, seed)
-    found = [
+    candidates = [
         _candidate(name_, model, test, left[name_], floor, campaign.machine, screw) for name_, model in models.items()
     ]
-    found.sort(key=lambda c: c.held_out.rms_um)
+    candidates.sort(key=lambda c: c.held_out.rms_um)
     error = stacked(test)[2]
     report = TrainingReport(
         machine=campaign.machine,
@@ -141,10 +141,10 @@ def train_positioning(
         rms_before_um=rms(error),
         n_runs=error.shape[1],
         n_rows=error.size,
-        candidates=tuple(_with_table_score(found)),
-        proposed=_proposed(found),
+        candidates=tuple(_with_table_score(candidates)),
+        proposed=_proposed(candidates),
         seed=seed,
-        told=tuple([*_what_was_seen(test, screw, engine), *_not_proposed(found)]),
+        told=tuple([*_what_was_seen(test, screw, engine), *_not_proposed(candidates)]),
     )
     geometry = {"type": "lathe"} | dict(campaign.machine_geometry)
     return Training(report, geometry, ((test.axis, *screw.reach_mm),))

@@ -27,10 +27,10 @@ def axes_beside(rows: _Rows, path: Path) -> _Rows:
 
     Raises ``InputError`` when rows of axes do not make poses of X, Y and Z each.
     """
-    found = _found(rows)
-    if found is None:
+    beside = _found(rows)
+    if beside is None:
         return rows
-    begin, axis, heads, units, body = found
+    begin, axis, heads, units, body = beside
     values = [n for n, head in enumerate(heads) if n != axis and _of_axis(head, "X") is not None]
     kept = [n for n in range(len(heads)) if n != axis and n not in values]
     keys = [n for n in kept if PLACES.fullmatch(heads[n]) or COUNTS.fullmatch(heads[n])]
@@ -163,15 +163,15 @@ def of_words(head: str, below: str = "") -> str:
 
     ``below``: the unit that a row below the heads tells.
     """
-    found = _TOLD.fullmatch(in_english(head))
-    if found is None:
+    match = _TOLD.fullmatch(in_english(head))
+    if match is None:
         return head
-    if below and not found["unit"]:
+    if below and not match["unit"]:
         # Of a unit that is not known here it is no head that is.
         return of_words(f"{head} [{below.strip('[]() ')}]")
-    what, axis = (found["what"] or found["what2"]).lower(), (found["axis"] or found["axis2"]).lower()
+    what, axis = (match["what"] or match["what2"]).lower(), (match["axis"] or match["axis2"]).lower()
     # Errors are of any unit.
-    unit = (found["unit"] or (NO_UNIT if _WORDS[what] == "error" else "mm")).lower()
+    unit = (match["unit"] or (NO_UNIT if _WORDS[what] == "error" else "mm")).lower()
     return f"{_WORDS[what]}_{axis}_{unit}"
 
 
@@ -181,32 +181,32 @@ def joints_of(heads: Sequence[str], units: Sequence[str]) -> dict[int, str]:
 
     Of a quaternion, ``Q0`` to ``Q3`` or ``q1`` to ``q4``, there are none. ``units``: those in a row below the heads.
     """
-    found = {n: match for n, head in enumerate(heads) if (match := _JOINT.fullmatch(head.strip())) is not None}
-    counted = sorted(int(match[1]) for match in found.values())
+    joints = {n: match for n, head in enumerate(heads) if (match := _JOINT.fullmatch(head.strip())) is not None}
+    counted = sorted(int(match[1]) for match in joints.values())
     first = 0 if counted[:1] == [0] else 1
-    quaternion = len(found) == 4 and all(match[0].lower().startswith("q") for match in found.values())
+    quaternion = len(joints) == 4 and all(match[0].lower().startswith("q") for match in joints.values())
     fewest = _FEWEST if first else FEWEST_OF_ARM
-    if counted != list(range(first, first + len(found))) or len(found) < fewest or quaternion:
+    if counted != list(range(first, first + len(joints))) or len(joints) < fewest or quaternion:
         return {}
     told = {
-        n: (match["unit"] or (units[n] if n < len(units) else "")).strip("[]() ").lower() for n, match in found.items()
+        n: (match["unit"] or (units[n] if n < len(units) else "")).strip("[]() ").lower() for n, match in joints.items()
     }
     unit = {
         n: "rad" if t.startswith("rad") else "deg" if t.startswith(("deg", "\u00b0")) else NO_UNIT
         for n, t in told.items()
     }
-    return {n: f"joint_{int(match[1]) + 1 - first}_{unit[n]}" for n, match in found.items()}
+    return {n: f"joint_{int(match[1]) + 1 - first}_{unit[n]}" for n, match in joints.items()}
 
 
 def places_of(heads: Sequence[str], units: Sequence[str]) -> dict[int, str]:
     """Return the house's names, by column, of plain ``X [mm]``, ``Y [mm]`` and ``Z [mm]`` as measured places; empty when one tells no unit."""
     out = {}
     for n, head in enumerate(heads):
-        found = _TOLD.fullmatch(in_english(f"measured {head.strip()}"))
+        match = _TOLD.fullmatch(in_english(f"measured {head.strip()}"))
         if (
-            found is not None
+            match is not None
             and head.strip()[:1].lower() in _AXES
-            and (found["unit"] or (n < len(units) and units[n].strip()))
+            and (match["unit"] or (n < len(units) and units[n].strip()))
         ):
             out[n] = of_words(f"measured {head.strip()}", units[n] if n < len(units) else "")
     return out if len(out) == len(_XYZ) else {}

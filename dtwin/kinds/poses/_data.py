@@ -84,12 +84,12 @@ def load(home: Home, campaign: str, setup: Setup | None = None) -> Loaded:
     wrong = [(run, f) for run in there for f in run.findings if f.severity == "error"]
     runs = [run for run in there if not any(run is unsound for unsound, _ in wrong)]
     if there and not runs:
-        run, found = wrong[0]
+        run, finding = wrong[0]
         raise InputError(
             "the run is not sound, and no twin is fitted to it",
-            code=found.code,
+            code=finding.code,
             where=f"{name} {run.meta.run_id}",
-            got=found.message,
+            got=finding.message,
             hint=f"dtwin check {name} tells all that is wrong with it",
         )
     if len(runs) != 1:
@@ -129,9 +129,9 @@ def _urdf_chain(path: Path, tip: str = "") -> Floats:
     Raises ``InputError`` when the file is none, or the chain has a joint that slides.
     """
     root = parse_vendor_xml(read_bounded(path, _MAX_BYTES), str(path))
-    found = [e for e in root.iter() if e.tag == "joint"]
-    by_child = {_link(e, "child"): e for e in found}
-    if root.tag != "robot" or not found:
+    joints = [e for e in root.iter() if e.tag == "joint"]
+    by_child = {_link(e, "child"): e for e in joints}
+    if root.tag != "robot" or not joints:
         raise _refused(path, "no joints" if root.tag == "robot" else f"a document of {root.tag[:40]}")
     way = _way(path, by_child, tip)
     axes = _axes(path, way)
@@ -221,8 +221,8 @@ def _perpendicular(point: Floats, z: Floats, to: Floats, after: Floats, x: Float
 
 def _aside(z: Floats) -> Floats:
     """Return a direction at right angles to another."""
-    found = np.cross(z, np.eye(3)[int(np.argmin(np.abs(z)))])
-    return np.asarray(found / np.linalg.norm(found))
+    across = np.cross(z, np.eye(3)[int(np.argmin(np.abs(z)))])
+    return np.asarray(across / np.linalg.norm(across))
 
 
 def _three(path: Path, text: str) -> Floats:
@@ -236,8 +236,8 @@ def _three(path: Path, text: str) -> Floats:
 
 
 def _link(joint: Element, what: str) -> str:
-    found = joint.find(what)
-    return "" if found is None else str(found.get("link", ""))
+    link = joint.find(what)
+    return "" if link is None else str(link.get("link", ""))
 
 
 def _refused(path: Path, got: str, allowed: str = "a URDF of a serial chain of joints that turn") -> InputError:

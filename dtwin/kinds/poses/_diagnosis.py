@@ -187,8 +187,8 @@ def selected(grams: Grams) -> tuple[Term, ...]:
     chosen: list[Term] = []
     seen = [frozenset(chosen)]
     while True:
-        while found := _group(grams, chosen, _candidates(grams, chosen)):
-            chosen += found[0].terms
+        while group := _group(grams, chosen, _candidates(grams, chosen)):
+            chosen += group[0].terms
         idle = _idle_terms(grams, chosen)
         chosen = [term for term in chosen if term not in idle]
         if not idle or frozenset(chosen) in seen:

@@ -41,10 +41,10 @@ class _Arm:
     def link(self, n: int) -> Floats:
         """Return the constant (4, 4) from a joint's turned frame to the next."""
         a, d, alpha, _, beta = self.rows[n]
-        found = np.eye(4)
-        found[:3, :3] = Rotation.from_euler("XY", [alpha, beta]).as_matrix()
-        found[:3, 3] = a, 0.0, d
-        return found
+        placed = np.eye(4)
+        placed[:3, :3] = Rotation.from_euler("XY", [alpha, beta]).as_matrix()
+        placed[:3, 3] = a, 0.0, d
+        return placed
 
 
 def export_twin(home: Home, twin: PoseTwin, form: str) -> Export:
@@ -160,15 +160,15 @@ def _urdf(arm: _Arm) -> str:
 
 def _steps(arm: _Arm, joint: Callable[[int], str], matrix: Callable[[Sequence[Sequence[str]]], str]) -> list[list[str]]:
     """Return for each joint the angle, its turn and the link as expressions of a language."""
-    found = []
+    steps = []
     for n, row in enumerate(arm.rows):
         angle = f"{joint(n)} + {row[3]:.15g}"
         for at, order, cosine, sine in arm.waves:
             if at == n:
                 angle += f" + {cosine:.15g}*cos({order}*{joint(n)}) + {sine:.15g}*sin({order}*{joint(n)})"
         turn = matrix([["cos(a)", "-sin(a)", "0", "0"], ["sin(a)", "cos(a)", "0", "0"], list("0010"), list("0001")])
-        found.append([angle, turn, matrix([[f"{v + 0.0:.15g}" for v in line] for line in arm.link(n)])])
-    return found
+        steps.append([angle, turn, matrix([[f"{v + 0.0:.15g}" for v in line] for line in arm.link(n)])])
+    return steps
 
 
 def _python(arm: _Arm) -> str:

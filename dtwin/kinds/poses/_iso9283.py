@@ -122,19 +122,19 @@ def _pairs(poses: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     return one, (one + rng.integers(1, poses, _PAIRS)) % poses
 
 
-def lines(run_id: str, found: dict[str, Any]) -> Iterator[str]:
+def lines(run_id: str, values: dict[str, Any]) -> Iterator[str]:
     """Yield the text of the figures of one run."""
-    yield f"{run_id}: {found['readings']} readings of {found['poses']} poses, {found['repeated_poses']} measured again"
-    if found["as_written_mm"] is not None:
+    yield f"{run_id}: {values['readings']} readings of {values['poses']} poses, {values['repeated_poses']} measured again"
+    if values["as_written_mm"] is not None:
         yield (
-            f"  error as written {found['as_written_mm']:z.4f} mm; the best frame alone leaves "
-            f"{found['frame_alone_mm']:z.4f} mm"
+            f"  error as written {values['as_written_mm']:z.4f} mm; the best frame alone leaves "
+            f"{values['frame_alone_mm']:z.4f} mm"
         )
-    accuracy, distance = found["pose_accuracy_mm"], found["distance_accuracy_mm"]
-    yield f"  left by {found['taken_away']}: {found['mean_error_mm']:z.3f} mm in the mean, {found['largest_error_mm']:z.3f} at most"
+    accuracy, distance = values["pose_accuracy_mm"], values["distance_accuracy_mm"]
+    yield f"  left by {values['taken_away']}: {values['mean_error_mm']:z.3f} mm in the mean, {values['largest_error_mm']:z.3f} at most"
     yield f"  pose accuracy AP {accuracy['mean']:z.3f} mm in the mean, {accuracy['max']:z.3f} at most"
     if distance is not None:
         yield f"  distance accuracy AD {distance['rms']:z.3f} mm RMS, {distance['max']:z.3f} at most"
-    said = found["pose_repeatability_mm"]
+    said = values["pose_repeatability_mm"]
     if said is not None:
         yield f"  pose repeatability RP {said['median']:z.3f} mm (median of {said['poses']} poses), {said['max']:z.3f} at most"

@@ -39,7 +39,7 @@ _WHOLE = re.compile(r"[+-]?\d+")
 def with_tracker_heads(rows: Sequence[Sequence[str]]) -> Sequence[Sequence[str]]:
     """Return points that SpatialAnalyzer exported with heads above, by its remark ``// AXES = CARTESIAN: X, Y, Z (mm)``; another table as it is."""
     told = ((n, _TRACKED.match(",".join(row))) for n, row in enumerate(rows[:_MOST_TITLES]))
-    begin, said = next(((n, found) for n, found in told if found), (0, None))
+    begin, said = next(((n, heads_there) for n, heads_there in told if heads_there), (0, None))
     if said is None or len(rows) < begin + 2:
         return rows
     cells = [cell.strip() for cell in rows[begin + 1]]
@@ -63,13 +63,13 @@ def repeated_places(rows: Sequence[Sequence[str]]) -> Mapping[str, Floats]:
         if not any(COUNTS.fullmatch(head) or PLACES.fullmatch(head) for head in heads):
             continue
         units, body = below_heads([list(line) for line in rows], begin)
-        found = [_AXIS.fullmatch(column.name) for column in columns_of(heads, units, {})]
-        axes = {match[1]: n for n, match in enumerate(found) if match}
-        others = [h for h, match in zip(heads, found, strict=True) if h and not match]
+        matches = [_AXIS.fullmatch(column.name) for column in columns_of(heads, units, {})]
+        axes = {match[1]: n for n, match in enumerate(matches) if match}
+        others = [h for h, match in zip(heads, matches, strict=True) if h and not match]
         known = all(COUNTS.fullmatch(h) or PLACES.fullmatch(h) for h in others)
-        if len(axes) != 3 or sum(map(bool, found)) != 3 or not known:
+        if len(axes) != 3 or sum(map(bool, matches)) != 3 or not known:
             return {}
-        scale = [1.0 / UM_PER_MM if found[axes[a]][2] == "um" else 1.0 for a in "xyz"]  # type: ignore[index]
+        scale = [1.0 / UM_PER_MM if matches[axes[a]][2] == "um" else 1.0 for a in "xyz"]  # type: ignore[index]
         factors = [columns_of(heads, units, {})[axes[a]].factor for a in "xyz"]
         place = next((n for n, h in enumerate(heads) if PLACES.fullmatch(h)), None)
         told: dict[str, list[list[float]]] = {}

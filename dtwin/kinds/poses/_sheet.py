@@ -80,9 +80,9 @@ def _figures(series: Series, under: Circumstances) -> tuple[Characteristic, ...]
     if repeated:
         rng = np.random.default_rng(0)
         # The floor is of three directions; a pose is drawn about its own mean.
-        found = _scatter_of(error_um, place, 1000.0 * series.floor_mm / math.sqrt(3.0))
-        dof = {name: found.dof_of_one if name in _LARGEST else found.dof for name in told}
-        one_um = found.of_reading[:, None]
+        scatter = _scatter_of(error_um, place, 1000.0 * series.floor_mm / math.sqrt(3.0))
+        dof = {name: scatter.dof_of_one if name in _LARGEST else scatter.dof for name in told}
+        one_um = scatter.of_reading[:, None]
         mean = means_of(error_um, place)[place]
         drawn = (one_um * rng.standard_normal(error_um.shape) for _ in range(times_simulated(error_um.size)))
         again = [evaluated(mean + left(one)) for one in drawn]

@@ -74,7 +74,7 @@ class _PoseReport(TermTwinReport):
         best = next((c for c in result["candidates"] if c["in_group"]), None)
         return [*lines, f"try: dtwin twin add {name} {best['label']}" if best else "nothing to add"]
 
-    def figures(self, found: PoseComparison, result: Mapping[str, Any]) -> list[go.Figure]:
+    def figures(self, comparison: PoseComparison, result: Mapping[str, Any]) -> list[go.Figure]:
         """Draw every reading before and after, and where the poses lie that are left furthest off."""
         # Commands that print no figure do not wait for plotly.
         import numpy as np
@@ -83,13 +83,13 @@ class _PoseReport(TermTwinReport):
         from dtwin.kinds.poses._sheet import above_figure
         from dtwin.report.plots import error_figure
 
-        grams = found.loaded.grams
-        sizes = {"without": left_mm(grams, ()), "with the twin": found.left_mm}
-        rows = found.loaded.rows.astype(np.float64)
+        grams = comparison.loaded.grams
+        sizes = {"without": left_mm(grams, ()), "with the twin": comparison.left_mm}
+        rows = comparison.loaded.rows.astype(np.float64)
         curves = {name: (rows, 1000.0 * np.linalg.norm(left, axis=1)) for name, left in sizes.items()}
         title = "Distance from the commanded pose, frame and tool fitted"
         by_reading = error_figure(curves, title=title, x_title="row of the table", y_title="distance, µm")
-        return [by_reading, above_figure(grams.series, found.left_mm, "What the twin leaves, from above")]
+        return [by_reading, above_figure(grams.series, comparison.left_mm, "What the twin leaves, from above")]
 
     def fell(self, figures: Mapping[str, float | None]) -> str:
         floor = figures["noise_floor_um"]

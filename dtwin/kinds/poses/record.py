@@ -61,7 +61,7 @@ class _Poses(Kind):
     def figure_lines(self, result: Mapping[str, Any]) -> list[str]:
         from dtwin.kinds.poses._iso9283 import lines
 
-        return [line for run, found in result["iso9283"].items() for line in lines(run, found)]
+        return [line for run, figures in result["iso9283"].items() for line in lines(run, figures)]
 
 
 KIND = _Poses()

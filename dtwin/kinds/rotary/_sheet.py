@@ -75,12 +75,12 @@ def contributions(under: Circumstances, symbol: str, test: LinearTest) -> tuple[
 
 def judge_campaign(runs: Sequence[Run]) -> list[Finding]:
     """Return what the runs of a campaign say together, what the standard asks for besides, and how turns close."""
-    found = judge_positioning_campaign(runs, ANGLES)
+    findings = judge_positioning_campaign(runs, ANGLES)
     whole = [run for run in runs if run.samples]
     for test in tests_by_axis(whole, ANGLES) if whole else []:
-        found += [Finding("rotary.asked", "warning", said) for said in _asked(test)]
-        found += _closures(test)
-    return found
+        findings += [Finding("rotary.asked", "warning", said) for said in _asked(test)]
+        findings += _closures(test)
+    return findings
 
 
 def positioning_result(runs: Sequence[Run], progress: Progress = silent) -> list[dict[str, Any]]:
@@ -158,11 +158,11 @@ def _waves(test: LinearTest) -> dict[str, Any]:
         columns.append(angle / (2.0 * np.pi))
     design = np.stack(columns, axis=1)
     middle = 0.5 * (test.forward_um + test.reverse_um)
-    found, *_ = np.linalg.lstsq(design, middle, rcond=None)
+    amplitudes, *_ = np.linalg.lstsq(design, middle, rcond=None)
     runs = middle.shape[1]
     told = []
     for number, (times, often, may_be) in enumerate(_WAVES):
-        both = found[1 + 2 * number : 3 + 2 * number]
+        both = amplitudes[1 + 2 * number : 3 + 2 * number]
         cosine, sine = both.mean(axis=1)
         half = chance = None
         if runs > 1:
@@ -182,6 +182,6 @@ def _waves(test: LinearTest) -> dict[str, Any]:
                 "may_be": may_be,
             }
         )
-    left = middle.mean(axis=1) - design @ found.mean(axis=1)
-    drift = {"drift_arcsec": float(found[-1].mean())} if again else {}
+    left = middle.mean(axis=1) - design @ amplitudes.mean(axis=1)
+    drift = {"drift_arcsec": float(amplitudes[-1].mean())} if again else {}
     return {"waves": told, **drift, "left_rms_arcsec": rms(left)}

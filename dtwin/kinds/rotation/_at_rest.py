@@ -81,8 +81,8 @@ def judge_at_rest(run: Run) -> list[Finding]:
         f"{len(told.angle_deg)} places of an axis that was turned by hand: the target is off the axis by {shown_number(abs(once))} µm, towards "
         f"{np.degrees(np.angle(once)) % 360.0:z.0f}°, which alone makes a run-out of {shown_number(2.0 * abs(once))} µm; no error motion is known at rest"
     )
-    found = [Finding("rotation.at_rest", "info", said, {"once_um": abs(once), "range_um": total})]
+    findings = [Finding("rotation.at_rest", "info", said, {"once_um": abs(once), "range_um": total})]
     if told.off_um > _BACK * total:
         back = f"where it was read again after a turn the indicator was off by up to {shown_number(told.off_um)} µm: it moved, or slipped"
-        found.append(Finding("rotation.not_back", "warning", back, {"off_um": told.off_um}))
-    return found
+        findings.append(Finding("rotation.not_back", "warning", back, {"off_um": told.off_um}))
+    return findings

@@ -35,8 +35,8 @@ def _over_speeds(runs: Sequence[Run]) -> list[OverSpeed]:
 def judge_speeds(runs: Sequence[Run]) -> Iterator[Finding]:
     """Yield what changes with speed or time, and what cannot be told."""
     whole = [run for run in runs if run.samples]
-    for found in _over_speeds(whole):
-        yield from _judge(found)
+    for over in _over_speeds(whole):
+        yield from _judge(over)
     for told in run_outs(whole):
         yield from (
             Finding(code, "warning" if severity == "warning" else "info", text)
@@ -44,38 +44,38 @@ def judge_speeds(runs: Sequence[Run]) -> Iterator[Finding]:
         )
 
 
-def _judge(found: OverSpeed) -> Iterator[Finding]:
-    if len(found.points) < 2:
+def _judge(over: OverSpeed) -> Iterator[Finding]:
+    if len(over.points) < 2:
         return
-    if found.delay is not None:
-        d = found.delay
+    if over.delay is not None:
+        d = over.delay
         way = "behind" if d.ms > 0 else "ahead of"
         said = (
-            f"{found.probe}: the form of the surface turns with the speed: the angle is {shown_number(abs(d.ms))} ± {shown_number(d.k2_ms, 1)} ms {way} the probe "
+            f"{over.probe}: the form of the surface turns with the speed: the angle is {shown_number(abs(d.ms))} ± {shown_number(d.k2_ms, 1)} ms {way} the probe "
             f"(up to {d.largest_deg:z.1f}°), a delay of the recording; it is taken out before speeds are compared"
         )
         yield Finding("rotation.delay", "warning", said, {"delay_ms": d.ms, "k2_ms": d.k2_ms})
-    if found.odd_wave:
+    if over.odd_wave:
         said = (
-            f"{found.probe}: what comes {found.odd_wave} times per turn turns from speed to speed, and the rest of the form does not turn with it: a force of that order "
+            f"{over.probe}: what comes {over.odd_wave} times per turn turns from speed to speed, and the rest of the form does not turn with it: a force of that order "
             "(poles of a motor, teeth, a coupling) through a structure that lags looks so; it is not taken for a delay of the angle"
         )
-        yield Finding("rotation.odd_wave", "info", said, {"per_turn_1": float(found.odd_wave)})
-    if (w := found.wave) is not None:
+        yield Finding("rotation.odd_wave", "info", said, {"per_turn_1": float(over.odd_wave)})
+    if (w := over.wave) is not None:
         said = (
-            f"{found.probe}: what comes {w.times} times per turn is {shown_number(w.least_um)} µm at {shown_number(w.least_rpm, 4)} rpm and {shown_number(w.most_um)} µm at "
+            f"{over.probe}: what comes {w.times} times per turn is {shown_number(w.least_um)} µm at {shown_number(w.least_rpm, 4)} rpm and {shown_number(w.most_um)} µm at "
             f"{shown_number(w.most_rpm, 4)} rpm: no form of the target changes so; forces of that order (poles of a motor, rolling elements, teeth) on a structure "
             "do, and a probe that is too slow"
         )
         numbers = {"per_turn_1": float(w.times), "least_um": w.least_um, "most_um": w.most_um}
         yield Finding("rotation.wave_changes", "warning", said, numbers)
-    yield from _judge_once(found)
-    yield from _judge_mean(found)
-    yield from _judge_orders(found)
+    yield from _judge_once(over)
+    yield from _judge_mean(over)
+    yield from _judge_orders(over)
 
 
-def _few(found: OverSpeed, what: str, spread_um: float) -> list[Finding]:
-    said = f"{found.probe}: {what}; what it follows cannot be told with these speeds: measure {_asked(found)} too"
+def _few(over: OverSpeed, what: str, spread_um: float) -> list[Finding]:
+    said = f"{over.probe}: {what}; what it follows cannot be told with these speeds: measure {_asked(over)} too"
     return [Finding("rotation.few_speeds", "info", said, {"spread_um": spread_um})]
 
 
@@ -84,65 +84,65 @@ def _matters(noise_um: float, size_um: float) -> float:
     return max(_LARGE * noise_um if math.isfinite(noise_um) else 0.0, _MATTERS * size_um)
 
 
-def _speeds(found: OverSpeed) -> Floats:
-    return np.array([p.speed_rpm for p in found.points])
+def _speeds(over: OverSpeed) -> Floats:
+    return np.array([p.speed_rpm for p in over.points])
 
 
-def _asked(found: OverSpeed, law: Law | None = None) -> str:
+def _asked(over: OverSpeed, law: Law | None = None) -> str:
     if law is None or all(TIME not in name for name in law.rivals):
-        return f"{next_speed(_speeds(found)):z.6g} rpm"
-    last = max(found.points, key=lambda p: p.place)
-    again = last.speed_rpm < 1.01 * float(_speeds(found).min())
+        return f"{next_speed(_speeds(over)):z.6g} rpm"
+    last = max(over.points, key=lambda p: p.place)
+    again = last.speed_rpm < 1.01 * float(_speeds(over).min())
     return "the same speeds in another order" if again else "the lowest speed again at the end"
 
 
-def _judge_once(found: OverSpeed) -> list[Finding]:
-    law = found.vector
-    if not math.isfinite(found.spread_um):
+def _judge_once(over: OverSpeed) -> list[Finding]:
+    law = over.vector
+    if not math.isfinite(over.spread_um):
         return []
-    size = max(abs(p.figures.once) for p in found.points)
-    unsure = 0.0 if found.delay is None else math.radians(found.delay.k2_ms * 6e-3 * float(_speeds(found).max()))
+    size = max(abs(p.figures.once) for p in over.points)
+    unsure = 0.0 if over.delay is None else math.radians(over.delay.k2_ms * 6e-3 * float(_speeds(over).max()))
     if law is not None and law.change < max(_LINEAR, unsure) * size:
         law = replace(law, name=CONSTANT)
-    changed = f"what comes once per turn changes by {shown_number(found.spread_um)} µm between speeds"
+    changed = f"what comes once per turn changes by {shown_number(over.spread_um)} µm between speeds"
     if law is None:
-        return _few(found, changed, found.spread_um) if found.spread_um > _LARGE * found.noise_um else []
+        return _few(over, changed, over.spread_um) if over.spread_um > _LARGE * over.noise_um else []
     # Without a form a delay is not known, and turns the vector, too.
     delay = (
         ""
-        if found.form_known
+        if over.form_known
         else " No form of the surface shows whether the angle has a delay, which turns the vector, too."
     )
-    if law.name == SQUARE and found.sense != "axial":
+    if law.name == SQUARE and over.sense != "axial":
         least = (
             ""
             if law.speeds >= 6
             else f"; whether a resonance makes it grow faster cannot be told with {law.speeds} speeds"
         )
-        where = "" if found.sense else ", where the probe is a radial one"
+        where = "" if over.sense else ", where the probe is a radial one"
         if law.bent:
             least = (
-                f"; it does not grow quite so: a resonance looks so, measure {next_speed(_speeds(found)):z.6g} rpm too"
+                f"; it does not grow quite so: a resonance looks so, measure {next_speed(_speeds(over)):z.6g} rpm too"
             )
-        said = f"{found.probe}: what comes once per turn moves by {shown_number(law.change)} µm with the square of the speed: unbalance{where}{least}.{delay}"
+        said = f"{over.probe}: what comes once per turn moves by {shown_number(law.change)} µm with the square of the speed: unbalance{where}{least}.{delay}"
         return [Finding("rotation.unbalance", "warning", said, {"change_um": law.change, "p_value": law.p_value})]
     if law.name == RESONANCE:
         said = (
-            f"{found.probe}: what comes once per turn moves by {shown_number(law.change)} µm as that of an unbalanced rotor with a critical speed near {shown_number(law.critical_rpm)} "
+            f"{over.probe}: what comes once per turn moves by {shown_number(law.change)} µm as that of an unbalanced rotor with a critical speed near {shown_number(law.critical_rpm)} "
             f"rpm does: unbalance and a resonance.{delay}"
         )
         return [
             Finding("rotation.resonance", "warning", said, {"change_um": law.change, "critical_rpm": law.critical_rpm})
         ]
     if law.name == CONSTANT:
-        if found.spread_um > _matters(found.noise_um, size):
-            near = f"; a resonance looks so, measure {next_speed(_speeds(found)):z.6g} rpm too" if law.bent else ""
-            said = f"{found.probe}: {changed}, more than turns of one run differ by, and in no way that predicts a speed held out: set-ups, few repeats{near}"
-            return [Finding("rotation.once_unknown", "info", said, {"spread_um": found.spread_um})]
-        said = f"{found.probe}: what comes once per turn is the same at all speeds within {shown_number(found.spread_um, 2)} µm: {_mounting(found.sense)}, no unbalance"
-        return [Finding("rotation.once_constant", "info", said, {"spread_um": found.spread_um})]
+        if over.spread_um > _matters(over.noise_um, size):
+            near = f"; a resonance looks so, measure {next_speed(_speeds(over)):z.6g} rpm too" if law.bent else ""
+            said = f"{over.probe}: {changed}, more than turns of one run differ by, and in no way that predicts a speed held out: set-ups, few repeats{near}"
+            return [Finding("rotation.once_unknown", "info", said, {"spread_um": over.spread_um})]
+        said = f"{over.probe}: what comes once per turn is the same at all speeds within {shown_number(over.spread_um, 2)} µm: {_mounting(over.sense)}, no unbalance"
+        return [Finding("rotation.once_constant", "info", said, {"spread_um": over.spread_um})]
     words = " or ".join(_WORDS[name] for name in law.rivals)
-    said = f"{found.probe}: what comes once per turn moves by {shown_number(law.change)} µm with {words}; {_open(law)}{'' if law.name else f' measure {_asked(found, law)} too'}.{delay}"
+    said = f"{over.probe}: what comes once per turn moves by {shown_number(law.change)} µm with {words}; {_open(law)}{'' if law.name else f' measure {_asked(over, law)} too'}.{delay}"
     return [
         Finding(
             "rotation.once_ambiguous" if not law.name else "rotation.once_moves",
@@ -175,18 +175,18 @@ def _mounting(sense: str) -> str:
     return "a target off the axis, or its form" if sense == "radial" else "how the target is mounted"
 
 
-def _judge_mean(found: OverSpeed) -> list[Finding]:
-    law = found.mean
-    means = [p.figures.mean_um for p in found.points]
-    spread, noise = max(means) - min(means), max(p.figures.mean_k2_um for p in found.points)
+def _judge_mean(over: OverSpeed) -> list[Finding]:
+    law = over.mean
+    means = [p.figures.mean_um for p in over.points]
+    spread, noise = max(means) - min(means), max(p.figures.mean_k2_um for p in over.points)
     if law is None or law.name == CONSTANT:
-        size = max(p.figures.total.um for p in found.points)
+        size = max(p.figures.total.um for p in over.points)
         if not spread > _matters(noise, size):
             return []
         if law is None:
-            return _few(found, f"the mean reading changes by {shown_number(spread)} µm", spread)
+            return _few(over, f"the mean reading changes by {shown_number(spread)} µm", spread)
         said = (
-            f"{found.probe}: the mean reading changes by {shown_number(spread)} µm between runs, by none of speed, its square and time alone: heat that lags behind "
+            f"{over.probe}: the mean reading changes by {shown_number(spread)} µm between runs, by none of speed, its square and time alone: heat that lags behind "
             "the speed looks so, and a probe that was moved; a log of temperatures (kind drift) tells"
         )
         return [Finding("rotation.mean_unknown", "info", said, {"spread_um": spread})]
@@ -199,16 +199,16 @@ def _judge_mean(found: OverSpeed) -> list[Finding]:
         SPEED: ("rotation.mean_speed", "heat of the bearings, or a film of oil or air"),
     }.get(
         law.name,
-        ("rotation.mean_ambiguous", f"these cannot be told apart with these speeds; measure {_asked(found, law)} too"),
+        ("rotation.mean_ambiguous", f"these cannot be told apart with these speeds; measure {_asked(over, law)} too"),
     )
     words = " or ".join(_WORDS[name] for name in law.rivals)
-    said = f"{found.probe}: the mean reading moves by {shown_number(law.change)} µm with {words}: {cause}"
+    said = f"{over.probe}: the mean reading moves by {shown_number(law.change)} µm with {words}: {cause}"
     return [Finding(code, "warning", said, {"change_um": law.change, "p_value": law.p_value})]
 
 
-def _judge_orders(found: OverSpeed) -> Iterator[Finding]:
+def _judge_orders(over: OverSpeed) -> Iterator[Finding]:
     """Say of lines that stand at several speeds whether they turn with the axis, or have a frequency of their own."""
-    speeds = sorted(found.points, key=lambda p: p.speed_rpm)
+    speeds = sorted(over.points, key=lambda p: p.speed_rpm)
     hertz_told: list[float] = []
     orders_told: list[Order] = []
     # A frequency may be a whole order at the highest speed, and no line there.
@@ -232,11 +232,11 @@ def _judge_orders(found: OverSpeed) -> Iterator[Finding]:
                 if whole
                 else ""
             )
-            said = f"{found.probe}: {shown_number(hertz, 4)} Hz at {len(by_hertz) + 1} speeds: a frequency of its own, so that no bearing makes it: mains, a pump, a structure{counted}"
+            said = f"{over.probe}: {shown_number(hertz, 4)} Hz at {len(by_hertz) + 1} speeds: a frequency of its own, so that no bearing makes it: mains, a pump, a structure{counted}"
             yield Finding("rotation.frequency", "info", said, {"frequency_hz": hertz})
         elif by_order and len(by_order) > len(by_hertz):
             orders_told.append(line)
-            said = f"{found.probe}: order {shown_number(line.order)} at {len(by_order) + 1} speeds: it follows the axis at no whole number: rolling elements, a cage, a belt"
+            said = f"{over.probe}: order {shown_number(line.order)} at {len(by_order) + 1} speeds: it follows the axis at no whole number: rolling elements, a cage, a belt"
             yield Finding("rotation.order", "info", said, {"order_1": line.order, "amplitude_um": line.amplitude_um})
 
 

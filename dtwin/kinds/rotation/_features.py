@@ -76,7 +76,7 @@ def features_of(moved_um: Floats, width_deg: float) -> tuple[Feature, ...]:
     error = moved_um.std(axis=0, ddof=1) / np.sqrt(turns)
     usual = float(np.median(error))
     out = np.abs(left) > max(_EDGE * scale, _EDGE * usual)
-    found = []
+    features = []
     for bins in _regions(out, max(2, round(_NEAR_DEG / width_deg))):
         peak = bins[int(np.argmax(np.abs(left[bins])))]
         each = (moved_um[:, peak] - smooth[peak]) / left[peak]
@@ -84,10 +84,10 @@ def features_of(moved_um: Floats, width_deg: float) -> tuple[Feature, ...]:
         if high and len(bins) * width_deg <= _WIDEST_DEG and np.mean(each > 0.5) >= _EVERY:
             # A bin more on each side: an edge lies anywhere in it.
             wide = np.arange(bins[0] - 1, bins[0] + len(bins) + 1) % n
-            found.append(Feature(width_deg * (peak + 0.5), len(bins) * width_deg, float(left[peak]), wide, smooth))
-    if sum(len(f.bins) - 2 for f in found) > _MOST * n:
+            features.append(Feature(width_deg * (peak + 0.5), len(bins) * width_deg, float(left[peak]), wide, smooth))
+    if sum(len(f.bins) - 2 for f in features) > _MOST * n:
         return ()
-    return tuple(found)
+    return tuple(features)
 
 
 def _smooth(mean: Floats) -> Floats:
@@ -138,9 +138,9 @@ def _weighted(design: Floats, mean: Floats, weight: Floats) -> Floats:
     all lie on one side of the turn hardly tell the orders apart.
     """
     heavy = (design * weight[:, None]).T
-    factor, found, failed = dposv(heavy @ design, heavy @ mean)
+    factor, solution, failed = dposv(heavy @ design, heavy @ mean)
     if not failed and factor.diagonal().min() > _TOLD * factor.diagonal().max():
-        return np.asarray(found, dtype=np.float64)
+        return np.asarray(solution, dtype=np.float64)
     used = weight > 0.0
     root = np.sqrt(weight[used])
     return np.asarray(np.linalg.lstsq(design[used] * root[:, None], mean[used] * root, rcond=None)[0])

@@ -135,7 +135,7 @@ def _going_on(clock: Floats, speed: Floats) -> Floats:
 def _headed(rows: Sequence[Sequence[str]], recipe: Mapping[str, Any]) -> tuple[int, list[Column], int] | None:
     """Return the row of heads, what they mean, and where values begin; None when no row is surely one."""
     for begin, row in enumerate(rows[:_MOST_TITLES]):
-        found = None
+        table = None
         below = rows[begin + 1] if begin + 1 < len(rows) else []
         for units in ([], below):
             if units is below and (len(below) != len(row) or any(number_or_none(c) is not None for c in below)):
@@ -144,11 +144,11 @@ def _headed(rows: Sequence[Sequence[str]], recipe: Mapping[str, Any]) -> tuple[i
             columns = [_meant(head, recipe, unit) for head, unit in zip(row, cells, strict=False)]
             at_rest = is_dial(columns) and _at_places(columns, rows[begin + 1 :])
             if is_turning(columns) or at_rest or (recipe and any(c.role == PROBE and c.factor for c in columns)):
-                found = found or (begin, columns, begin + (2 if units else 1))
+                table = table or (begin, columns, begin + (2 if units else 1))
                 if all(c.factor for c in columns if c.role not in ("", PATH)):
                     return begin, columns, begin + (2 if units else 1)
-        if found is not None:
-            return found
+        if table is not None:
+            return table
     return None
 
 

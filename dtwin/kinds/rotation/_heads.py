@@ -236,13 +236,13 @@ def assumed_of(cells: Sequence[str], columns: Mapping[str, Column]) -> tuple[Fin
     """Return what is assumed of heads and units: which tenths are meant, and units of ``columns``, by their heads."""
     units = [f"{head} in {column.assumed}" for head, column in columns.items() if column.assumed not in ("", "1")]
     said = f"columns tell no unit, and are taken: {', '.join(units)}"
-    found = (Finding("rotation.unit_assumed", "info", said),) if units else ()
+    findings = (Finding("rotation.unit_assumed", "info", said),) if units else ()
     if named := [head for head, column in columns.items() if column.role == SPEED and _FREQUENCY.match(head)]:
         said = f"{named[0]} is taken for turns a second: neither a spectrum, nor what feeds a motor of several pairs of poles"
-        found = (*found, Finding("rotation.frequency", "warning", said))
+        findings = (*findings, Finding("rotation.frequency", "warning", said))
     if not any(_TENTHS.search(with_shares(cell)) for cell in cells):
-        return found
-    return (*found, Finding("rotation.tenths", "info", "tenths are taken for ten-thousandths of an inch, 2.54 µm"))
+        return findings
+    return (*findings, Finding("rotation.tenths", "info", "tenths are taken for ten-thousandths of an inch, 2.54 µm"))
 
 
 def direction_of(name: str) -> str:

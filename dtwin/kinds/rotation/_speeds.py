@@ -87,7 +87,7 @@ class OverSpeed:
 
 def points_of(runs: Sequence[Run]) -> dict[tuple[str, str], list[Point]]:
     """Return the sound turning runs by probe and set-up with the sense of rotation, by speed."""
-    found: dict[tuple[str, str], list[Point]] = {}
+    by_figure: dict[tuple[str, str], list[Point]] = {}
     for place, run in enumerate(runs):
         if run.meta.condition.get("form") in (AT_REST, OVER_SPEED) or any(f.severity == "error" for f in run.findings):
             continue
@@ -96,7 +96,7 @@ def points_of(runs: Sequence[Run]) -> dict[tuple[str, str], list[Point]]:
         way = "" if turns.forward else ", turning backwards"
         key = (str(run.meta.condition.get("probe", run.meta.run_id)), run.meta.setup + way)
         phased = run.meta.condition.get("angle") != "speed"
-        found.setdefault(key, []).append(
+        by_figure.setdefault(key, []).append(
             Point(
                 run.meta.run_id,
                 str(run.meta.condition.get("sense", "")),
@@ -109,7 +109,7 @@ def points_of(runs: Sequence[Run]) -> dict[tuple[str, str], list[Point]]:
                 place,
             )
         )
-    return {key: sorted(points, key=lambda p: p.speed_rpm) for key, points in found.items()}
+    return {key: sorted(points, key=lambda p: p.speed_rpm) for key, points in by_figure.items()}
 
 
 def _speed_of(run: Run) -> float:
@@ -199,9 +199,9 @@ def _turned(waves: NDArray[np.complex128], orders: NDArray[np.int64]) -> tuple[b
     shift, alike = np.zeros(len(waves)), True
     for n, of in enumerate(waves):
         # From its neighbour in speed: the form turns little from one to the next.
-        found = _turn(of, waves[max(0, n - 1)], orders, tried)
-        alike &= found is not None
-        shift[n] = (shift[n - 1] if n else 0.0) + (found or 0.0)
+        turn = _turn(of, waves[max(0, n - 1)], orders, tried)
+        alike &= turn is not None
+        shift[n] = (shift[n - 1] if n else 0.0) + (turn or 0.0)
     # Once more from the mean form of all others: what neighbours are off by has added up.
     back = waves * np.exp(-1j * np.outer(np.radians(shift), orders))
     near = np.arange(-_NEAR_DEG, _NEAR_DEG, 0.1)

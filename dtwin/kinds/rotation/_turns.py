@@ -178,12 +178,12 @@ def turns_of(run: Run) -> Turns | None:
     along = np.arange(bins) / bins - 0.5
     drift = level + slope * (np.flatnonzero(sound)[:, None] + (along if forward else -along)[None, :])
     moved = kept - drift
-    found = () if run.meta.condition.get("features") == _KEEP else features_of(moved, width)
-    for feature in found:
+    features = () if run.meta.condition.get("features") == _KEEP else features_of(moved, width)
+    for feature in features:
         moved = feature.bridged(moved)
-    found = tuple(replace(f, angle_deg=float(np.mod(begin + f.angle_deg, _TURN))) for f in found)
+    features = tuple(replace(f, angle_deg=float(np.mod(begin + f.angle_deg, _TURN))) for f in features)
     moved = moved - moved.mean()
-    return Turns(angle, kept, moved, middle[sound], whole, slope * (whole - 1), found, axial, forward, _step(x))
+    return Turns(angle, kept, moved, middle[sound], whole, slope * (whole - 1), features, axial, forward, _step(x))
 
 
 def _step(x: Floats) -> float:

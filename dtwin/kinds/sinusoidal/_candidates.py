@@ -250,8 +250,8 @@ def _regressor(recipe: Recipe, seed: int) -> _Predict:
 
 def _narx(train: ToneGroups, test: ToneGroups) -> Predicted:
     model = _Narx.fitted(train)
-    found = [model.errors(trace, f) for trace, f in zip(test.traces, test.frequency_hz, strict=True)]
-    values: NDArray[np.float64] = np.array(found)
+    errors = [model.errors(trace, f) for trace, f in zip(test.traces, test.frequency_hz, strict=True)]
+    values: NDArray[np.float64] = np.array(errors)
     return values[:, 0], values[:, 1]
 
 
@@ -328,7 +328,7 @@ def train_tones(
     progress("equations", 1, 1, "")
     others = _compared_candidates(groups, seed)
     progress("comparison models", 1, 1, "")
-    found = sorted([*laws, *others], key=lambda c: c.held_out.rms_um)
+    candidates = sorted([*laws, *others], key=lambda c: c.held_out.rms_um)
     (floor, freedom), told = noise_floor_um(groups), what_was_seen(everything)
     if not np.isnan(floor):
         told.append(
@@ -344,8 +344,8 @@ def train_tones(
         rms_before_um=rms(groups.amplitude_error_um),
         n_runs=groups.n,
         n_rows=groups.n,
-        candidates=tuple(found),
-        proposed=_proposed(found, MOST_RADIUS),
+        candidates=tuple(candidates),
+        proposed=_proposed(candidates, MOST_RADIUS),
         seed=seed,
         told=tuple(told),
     )

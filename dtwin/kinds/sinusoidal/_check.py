@@ -101,10 +101,10 @@ def accelerometer(run: Run) -> tuple[SignalGroup, str] | None:
 
 def heard(run: Run) -> Tone | None:
     """Return the commanded tone as the first accelerometer channel hears it, None without one."""
-    found = accelerometer(run)
-    if found is None:
+    signal = accelerometer(run)
+    if signal is None:
         return None
-    group, name = found
+    group, name = signal
     return fit_tone(group.t_s, group.columns[name], commanded(run).frequency_hz)
 
 

@@ -65,7 +65,7 @@ def measured_tones(bundle: Bundle, truth: str, *, seed: int, progress: Progress 
         numbered(runs),
         CLOCK,
         {"analogue path": AnaloguePath().delay_s},
-        acted={name: guard_shares(found) for name, found in counts.items()},
+        acted={name: guard_shares(counted) for name, counted in counts.items()},
     )
 
 
@@ -234,10 +234,10 @@ class _Brain:
 
     def sensed(self, sent_um: Floats, acceleration_g: Floats) -> bool:
         """Take samples; return whether they completed a window."""
-        found = self._stream.push(np.stack([sent_um, acceleration_g]))
-        if not len(found.values):
+        features = self._stream.push(np.stack([sent_um, acceleration_g]))
+        if not len(features.values):
             return False
-        self._features = found.values[-1].reshape(-1)[self._places]
+        self._features = features.values[-1].reshape(-1)[self._places]
         self._compiled.window(self._features)
         named = dict(zip(self._bundle.feature_inputs, self._features.tolist(), strict=True))
         graph = self._bundle.window_graph

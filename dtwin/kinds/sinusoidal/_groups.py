@@ -147,11 +147,11 @@ def noise_floor_um(groups: ToneGroups) -> tuple[float, int]:
 
 
 def _group(run: Run) -> Mapping[str, Any] | None:
-    found = accelerometer(run)
+    signal = accelerometer(run)
     errors, told, tone = followed(run, HORIZON_S), commanded(run), heard(run)
-    if found is None or errors is None or tone is None:
+    if signal is None or errors is None or tone is None:
         return None
-    group, channel = found
+    group, channel = signal
     contract = tone_contract(group.rate_hz, channel)
     if group.n_samples < contract.n_samples:
         return None

@@ -115,7 +115,7 @@ def searched(groups: ToneGroups, engine: Engine | None, seed: int) -> tuple[Law,
     scales, dead = _scales_of(groups), dead_features(groups)
     offered = {name: values for name, values in groups.columns.items() if name not in dead}
     columns = _scaled(offered, scales)
-    found, front = [], []
+    laws, front = [], []
     for target in (groups.amplitude_error_um, groups.phase_error_deg):
         fitted = [
             f
@@ -126,9 +126,9 @@ def searched(groups: ToneGroups, engine: Engine | None, seed: int) -> tuple[Law,
             raise InputError("no formula of three features was found", code="train.search")
         enough = max(1.02 * min(f.rms for f in fitted), _ENOUGH * float(np.std(target)))
         best = min((f for f in fitted if f.rms <= enough), key=lambda f: f.complexity)
-        found.append(Law(best.formula, best.constants, scales))
+        laws.append(Law(best.formula, best.constants, scales))
         front.append([{"nodes": float(f.complexity), "rms": f.rms} for f in fitted])
-    return found[0], found[1], front[0]
+    return laws[0], laws[1], front[0]
 
 
 def _scales_of(groups: ToneGroups) -> dict[str, float]:

@@ -73,12 +73,12 @@ class ServedSlide:
         number, within = divmod(tick, self._group_ticks)
         frequency, amplitude = self._tone(number, within + self._path.delay_ticks)
         ahead_s = within / SERVO_HZ + self._path.delay_s
-        found = {
+        values = {
             "segment_id": number + 1.0,
             COMMAND_PHASE: math.fmod(2.0 * math.pi * frequency * ahead_s, 2.0 * math.pi),
             COMMAND_AMPLITUDE: amplitude,
         }
-        return found | self._sample if within % EVERY == 0 and within > 0 else found
+        return values | self._sample if within % EVERY == 0 and within > 0 else values
 
     def advance(self, tick: int, offset_um: Floats) -> None:
         """Take a correction; the slide moves when those of one sample are together."""

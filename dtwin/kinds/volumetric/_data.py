@@ -99,10 +99,10 @@ def _loaded(lake: Lake, name: str, wanted: Sequence[str]) -> HeatLoaded:
     strokes = measured.artefact.strokes_mm
     units = tuple(design(where.position_mm, strokes, names) for where, _ in measured.moved)
     grams, left_ms = [], []
-    for unit, found in zip(units, settled, strict=True):
+    for unit, session in zip(units, settled, strict=True):
         flat = unit.reshape(-1, len(names))
         grams.append(flat.T @ flat / len(flat))
-        left_ms.append(float(((found.moved_um - unit @ found.values) ** 2).mean()))
+        left_ms.append(float(((session.moved_um - unit @ session.values) ** 2).mean()))
     thermocouples = dict(zip(measured.sensors, measured.rise_c.T, strict=True))
     offered = {channel: measured.offered_rise(channel) for channel in measured.offered_c}
     begun = dict(zip(measured.sensors, measured.begun_c.tolist(), strict=True))
@@ -112,8 +112,8 @@ def _loaded(lake: Lake, name: str, wanted: Sequence[str]) -> HeatLoaded:
         lake.campaign(name).machine,
         measured.hour,
         names,
-        np.array([found.values for found in settled]),
-        np.array([found.covariance for found in settled]),
+        np.array([session.values for session in settled]),
+        np.array([session.covariance for session in settled]),
         np.array(grams),
         np.array(left_ms),
         {**thermocouples, **offered},
@@ -172,8 +172,8 @@ def _settled(measured: Session, names: tuple[str, ...]) -> list[Settled]:
 
 def _moves(settled: Sequence[Settled]) -> tuple[float, float]:
     """Return the p-value of the last motion standing still, and how far it moves beyond its noise."""
-    values = np.array([found.values[-1] for found in settled])
-    noise = np.sqrt([found.covariance[-1, -1] for found in settled])
+    values = np.array([session.values[-1] for session in settled])
+    noise = np.sqrt([session.covariance[-1, -1] for session in settled])
     ratio = (values - values.mean()) / noise
     power = float(ratio @ ratio)
     return chi2_tail(power, len(values) - 1), power

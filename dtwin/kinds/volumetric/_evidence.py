@@ -133,11 +133,11 @@ def corrections(bundle: Bundle, measured: Session) -> tuple[list[Floats], list[f
         return trusted * np.minimum(1.0, limits.clamp_um / np.maximum(length, 1e-9))
 
     first = read[:REFERENCE_CYCLES].mean(axis=0)
-    found = [
+    corrected = [
         sent(where.position_mm, now) - sent(where.position_mm, first)
         for (where, _), now in zip(measured.moved, read, strict=True)
     ]
-    return found, [trust(now) for now in read]
+    return corrected, [trust(now) for now in read]
 
 
 def _condition(

@@ -132,13 +132,13 @@ class HeatSeries:
         for column in (motion, self.hour, *(self.rise_c[one] for one in names)):
             content.update(column.tobytes())
         key = content.digest()
-        found = _kept.get(key)
-        if found is None:
+        drivers = _kept.get(key)
+        if drivers is None:
             rises: dict[str, dict[str, Floats]] = {}
             for one in names:
                 rises.setdefault(body_of(one), {})[one] = self.rise_c[one]
-            found = drivers_of(name, motion, rises, self.hour, self.spans(), named=bool(sources))
+            drivers = drivers_of(name, motion, rises, self.hour, self.spans(), named=bool(sources))
             if len(_kept) >= _MOST_KEPT:
                 _kept.pop(next(iter(_kept)), None)
-            _kept[key] = found
-        return found
+            _kept[key] = drivers
+        return drivers

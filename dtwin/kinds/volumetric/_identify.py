@@ -109,9 +109,9 @@ class Artefact:
             use = ~np.isin(balls.pose, self.held_out)
             columns = free._columns(balls, use)[: 3 * int(use.sum())]
             y = moved_um[use].ravel()
-            found, _, rank, _ = np.linalg.lstsq(columns, y)
+            fitted, _, rank, _ = np.linalg.lstsq(columns, y)
             if len(y) > rank:
-                left = y - columns @ found
+                left = y - columns @ fitted
                 shown.append(float(np.sqrt(left @ left / (len(y) - rank))))
         noise_um = float(np.median(shown)) if shown else 0.0
         return replace(self, noise_um=noise_um, _ready={}) if noise_um > 0.0 else self

@@ -138,16 +138,16 @@ def beside_others(series: HeatSeries, left: Floats) -> list[tuple[int, Floats]]:
     """
     precise = np.linalg.inv(series.covariance)
     each = np.einsum("nii->ni", precise)
-    found: dict[int, Floats] = {}
+    beside: dict[int, Floats] = {}
     left = left.copy()
-    while fit_p(series, left) < ALPHA and len(found) < left.shape[1]:
+    while fit_p(series, left) < ALPHA and len(beside) < left.shape[1]:
         moved = np.einsum("nij,nj->ni", precise, left - left.mean(axis=0)) / each
         gain = (moved**2 * each).sum(axis=0)
-        gain[list(found)] = 0.0
+        gain[list(beside)] = 0.0
         best = int(np.argmax(gain))
-        found[best] = moved[:, best]
+        beside[best] = moved[:, best]
         left[:, best] -= moved[:, best]
-    return list(found.items())
+    return list(beside.items())
 
 
 def beside_others_mover(series: HeatSeries, left: Floats, column: int, own: tuple[str, ...], moved: Floats) -> Mover:

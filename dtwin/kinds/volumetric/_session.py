@@ -109,9 +109,9 @@ def session_in(lake: Lake, name: str, progress: Progress) -> Session:
     reference = averaged_balls(balls[:REFERENCE_CYCLES])
     moved = tuple(artefact.variation_um(cycle, reference) for cycle in balls)
     artefact = artefact.with_noise_of(moved)
-    found = []
+    identified = []
     for number, (where, by) in enumerate(moved):
-        found.append(artefact.identify(where, by))
+        identified.append(artefact.identify(where, by))
         progress(number + 1, len(moved), f"identify {runs[number].meta.run_id}")
     table, dropped = _temperatures(runs)
     inside = {n: t for n, (group, t) in table.items() if group == _SENSORS}
@@ -129,7 +129,7 @@ def session_in(lake: Lake, name: str, progress: Progress) -> Session:
         np.array([hour_by_run[run.meta.run_id] for run in runs]),
         artefact,
         moved,
-        tuple(found),
+        tuple(identified),
         tuple(inside),
         absolute - begun,
         begun,

@@ -92,8 +92,8 @@ def _write_ball_campaign(
     ``corrected``: whether a correction was in force.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    for cycle, found in zip(cycles, readings, strict=True):
-        _write_cycle(folder, cycle, found, mill)
+    for cycle, reading in zip(cycles, readings, strict=True):
+        _write_cycle(folder, cycle, reading, mill)
     _write_campaign_file(folder, name, machine, list(cycles), mill, corrected=corrected)
 
 
@@ -249,7 +249,7 @@ class ServedMill:
         parts = np.split(self._offset_um, len(self._balls))
         # The scales read less where the correction lets the machine go further.
         readings = [
-            replace(found, error_um=found.error_um - offset) for found, offset in zip(self._balls, parts, strict=True)
+            replace(ball, error_um=ball.error_um - offset) for ball, offset in zip(self._balls, parts, strict=True)
         ]
         _write_ball_campaign(
             folder,

@@ -143,20 +143,20 @@ def _swapped(nominal: Floats, pose: NDArray[np.int64]) -> NDArray[np.bool_]:
     return out
 
 
-def spoilt_findings(names: Sequence[str], cycles: Sequence[Balls], found: _Spoilt) -> list[Finding]:
+def spoilt_findings(names: Sequence[str], cycles: Sequence[Balls], reading: _Spoilt) -> list[Finding]:
     """Return what went wrong in words."""
     out = []
-    if found.cycles.any():
-        gone = [name for name, bad in zip(names, found.cycles, strict=True) if bad]
+    if reading.cycles.any():
+        gone = [name for name, bad in zip(names, reading.cycles, strict=True) if bad]
         said = (
             f"{', '.join(gone[:_SHOWN])}{' and others' if len(gone) > _SHOWN else ''}: more than a quarter of the balls stand far off what was read before "
             "and after: the cycle went wrong, and twins and training leave it out"
         )
         out.append(Finding("cycle.spoilt", "warning", said, {"cycles_1": float(len(gone))}))
     single = [
-        (float(found.off_um[n][k]), f"{names[n]} pose {cycles[n].pose[k]} ball {cycles[n].ball[k]}")
-        for n, spoilt in enumerate(found.readings)
-        if not found.cycles[n]
+        (float(reading.off_um[n][k]), f"{names[n]} pose {cycles[n].pose[k]} ball {cycles[n].ball[k]}")
+        for n, spoilt in enumerate(reading.readings)
+        if not reading.cycles[n]
         for k in np.flatnonzero(spoilt)
     ]
     if single:

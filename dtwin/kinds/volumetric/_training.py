@@ -46,13 +46,13 @@ def train_volumetric(
     """
     campaign, versions = lake.campaign(name), dict(lake.versions())
     measured = session_in(lake, name, lambda done, total, what: progress("identify", done, total, what))
-    found = []
+    candidates = []
     for done, (title, fit) in enumerate(_FITS.items(), start=1):
-        found.append(_candidate(title, fit, measured, campaign.machine))
+        candidates.append(_candidate(title, fit, measured, campaign.machine))
         progress("candidates", done, len(_FITS), title)
-    found.sort(key=lambda c: c.held_out.rms_um)
+    candidates.sort(key=lambda c: c.held_out.rms_um)
     before, floor = (changes_left_um(measured, values) for values in (np.zeros_like(measured.values), measured.values))
-    equations = [c for c in found if c.promotable]
+    equations = [c for c in candidates if c.promotable]
     report = TrainingReport(
         machine=campaign.machine,
         campaign=name,
@@ -61,7 +61,7 @@ def train_volumetric(
         rms_before_um=rms(np.concatenate(before)),
         n_runs=len(measured.hour),
         n_rows=sum(len(part) for part in before),
-        candidates=tuple(found),
+        candidates=tuple(candidates),
         proposed=min(equations, key=lambda c: c.held_out.rms_um).name,
         seed=seed,
         told=tuple(_what_was_seen(measured, engine)),

@@ -40,7 +40,7 @@ class HeatFit:
     @property
     def models(self) -> tuple[ThermalModel, ...]:
         """Models of the terms."""
-        return tuple(found.model for found in self.drivers)
+        return tuple(driver.model for driver in self.drivers)
 
 
 class HeatTwin(TermTwin[HeatTerm]):
@@ -70,13 +70,13 @@ class HeatTwin(TermTwin[HeatTerm]):
 
     def outside(self, series: HeatSeries) -> list[str]:
         """Return the temperatures that leave what the fit saw, and by how many kelvin."""
-        found = []
+        places = []
         for name, (low, high) in self.document["seen_c"].items():
             read = series.rise_c[name] + series.begun_c[name]
             beyond = max(low - float(read.min()), float(read.max()) - high)
             if beyond > _BEYOND_C:
-                found.append(f"{name} by {beyond:z.1f} K")
-        return found
+                places.append(f"{name} by {beyond:z.1f} K")
+        return places
 
 
 def heat_twin_from(document: Mapping[str, Any]) -> HeatTwin:
@@ -101,7 +101,7 @@ def fit_heat(series: HeatSeries, terms: Sequence[HeatTerm]) -> HeatFit:
     drivers = [
         series.driven(term.motion, series.values[:, series.names.index(term.motion)], term.sources) for term in terms
     ]
-    return HeatFit(tuple(drivers), _expected(series, [found.model for found in drivers]))
+    return HeatFit(tuple(drivers), _expected(series, [driver.model for driver in drivers]))
 
 
 def heat_told(series: HeatSeries, terms: Sequence[HeatTerm]) -> dict[str, Any]:
@@ -111,8 +111,8 @@ def heat_told(series: HeatSeries, terms: Sequence[HeatTerm]) -> dict[str, Any]:
     """
     fitted = fit_heat(series, terms)
     left, left_out = series.values - fitted.expected, series.values.copy()
-    for term, found in zip(terms, fitted.drivers, strict=True):
-        left_out[:, series.names.index(term.motion)] -= found.expected
+    for term, driver in zip(terms, fitted.drivers, strict=True):
+        left_out[:, series.names.index(term.motion)] -= driver.expected
     used = sorted({sensor for model in fitted.models for sensor in model.sensors})
     readings = {sensor: series.rise_c[sensor] + series.begun_c[sensor] for sensor in used}
     return {

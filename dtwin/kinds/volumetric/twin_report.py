@@ -274,10 +274,10 @@ class _HeatReport(TermTwinReport):
             lines.append(f"next: {result['next_experiment']['text']}")
         return [*lines, *_advice(name, result)]
 
-    def figures(self, found: object, result: Mapping[str, Any]) -> list[go.Figure]:
+    def figures(self, comparison: object, result: Mapping[str, Any]) -> list[go.Figure]:
         return [_motion_figure(result), _day_figure(result)]
 
-    def comparison_sections(self, found: object, result: Mapping[str, Any]) -> list[Section]:
+    def comparison_sections(self, comparison: object, result: Mapping[str, Any]) -> list[Section]:
         """Return measured against predicted: motion by motion and day by day."""
         said = (
             f"Version {result['version']} against {result['campaign']}: {result['runs']} cycles, "
@@ -289,7 +289,7 @@ class _HeatReport(TermTwinReport):
                 "Measured against predicted",
                 [said],
                 [("warning", warning) for warning in result["warnings"]],
-                figures=self.figures(found, result),
+                figures=self.figures(comparison, result),
             ),
             Section("Where it fails", [_place(place) for place in result["where"]]),
         ]

@@ -67,8 +67,8 @@ class _Control:
     def poll(self) -> Any:
         """Return the newest status, and keep what the control reports."""
         self.stat.poll()
-        while found := self.errors.poll():
-            self.messages.append(str(found[1]))
+        while error := self.errors.poll():
+            self.messages.append(str(error[1]))
         return self.stat
 
     def run(self, program: str) -> dict[str, Any]:
