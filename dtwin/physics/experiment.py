@@ -192,15 +192,15 @@ def _rank(proposal: Proposal) -> tuple[bool, bool, float, float]:
     return useless, late, first if not useless else -max(proposal.powers, default=0.0), cost
 
 
-def planned_observations(plan: Plan) -> Observations:
-    """Return the runs of a plan as if they had been measured, with nothing in them: in upright planes over the arc of their programs."""
+def planned_observations(plan: Plan, logged: Mapping[str, Floats] | None = None) -> Observations:
+    """Return the runs of a plan with nothing in them, upright ones over the arc of their programs.
+
+    ``logged``: columns besides ``time_h``, (runs,).
+    """
     rows = [
-        (test, direction, Condition(test.plane, test.radius_mm, test.feed_mm_min, direction))
-        for test in plan.tests
-        for direction in plan.directions
+        (t, way, Condition(t.plane, t.radius_mm, t.feed_mm_min, way)) for t in plan.tests for way in plan.directions
     ]
-    seconds = np.array([c.seconds for _, _, c in rows])
-    time_h = np.concatenate([[0.0], np.cumsum(seconds)[:-1]]) / 3600.0
+    time_h = np.cumsum([0.0, *(c.seconds for _, _, c in rows[:-1])]) / 3600.0
     metas = tuple(
         RunMeta(
             f"{test.test_id}-{direction.lower()}",
@@ -213,8 +213,8 @@ def planned_observations(plan: Plan) -> Observations:
         )
         for test, direction, _ in rows
     )
-    logged = tuple({"time_h": float(hours)} for hours in time_h)
-    obs = _empty(Campaign(plan.name, plan.machine), metas, [c for _, _, c in rows], logged)
+    per_row = tuple({"time_h": h, **{k: float(v[i]) for k, v in (logged or {}).items()}} for i, h in enumerate(time_h))
+    obs = _empty(Campaign(plan.name, plan.machine), metas, [c for _, _, c in rows], per_row)
     return replace(obs, mask=np.stack([_programmed(c.plane) for _, _, c in rows]))
 
 
