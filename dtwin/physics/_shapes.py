@@ -88,6 +88,7 @@ class _Projected:
         self._campaign, self._terms, self._free, self._parts = campaign, terms, free, parts
         self._residual = campaign.residual
         self._turned: dict[bytes, Floats] = {}
+        self._last: tuple[bytes, tuple[list[Floats], Floats, Floats]] | None = None
 
     def left(self, logs: Floats) -> Floats:
         """Return the residual, shape (shapes + 1,)."""
@@ -95,8 +96,7 @@ class _Projected:
 
     def sizes(self, logs: Floats) -> list[float]:
         """Return the first parameter of each effect."""
-        terms = [_at(t, free, logs[part]) for t, free, part in zip(self._terms, self._free, self._parts, strict=True)]
-        own, _, _ = self.amplitudes(terms)
+        own, _, _ = self._fitted(logs)
         return [float(amplitudes[0]) for amplitudes in own]
 
     def slopes(self, logs: Floats) -> Floats:
@@ -111,16 +111,25 @@ class _Projected:
 
     def _evaluated(self, logs: Floats) -> Floats:
         """Return slopes and, at last, the residual, shape (m, shapes + 1)."""
-        terms = [_at(t, free, logs[part]) for t, free, part in zip(self._terms, self._free, self._parts, strict=True)]
-        own, columns, inverse = self.amplitudes(terms)
+        own, columns, inverse = self._fitted(logs)
         changes = [
             self._campaign.slope(term, shape.name) @ a
-            for term, free, a in zip(terms, self._free, own, strict=True)
+            for term, free, a in zip(self._shaped(logs), self._free, own, strict=True)
             for shape in free
         ]
         slopes = self._seen(np.stack(changes, axis=1))
         slopes -= columns @ (inverse @ (columns.T @ slopes))
         return np.column_stack([-slopes, self._residual - columns @ np.concatenate(own)])
+
+    def _shaped(self, logs: Floats) -> list[Term]:
+        return [_at(t, free, logs[part]) for t, free, part in zip(self._terms, self._free, self._parts, strict=True)]
+
+    def _fitted(self, logs: Floats) -> tuple[list[Floats], Floats, Floats]:
+        """Return the amplitudes at these shapes; where a search begins they are asked for twice."""
+        key = logs.tobytes()
+        if self._last is None or self._last[0] != key:
+            self._last = key, self.amplitudes(self._shaped(logs))
+        return self._last[1]
 
     def amplitudes(self, terms: Sequence[Term]) -> tuple[list[Floats], Floats, Floats]:
         """Return what is fitted of each effect, its columns beside what is known, (m, k), and the inverse of their products."""
