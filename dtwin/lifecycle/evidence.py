@@ -163,15 +163,15 @@ def _computed(
     bundle = Bundle.from_dict(registry.bundle(version))
     campaigns = {WITHOUT: tuple(dict.fromkeys(without)), WITH: tuple(dict.fromkeys(with_))}
     virtual = bool(geometry_of(registry, version).get("virtual", False))
-    runs = gathered(home, version.machine, bundle.model_sha256, campaigns, virtual=virtual)
+    recorded = gathered(home, version.machine, bundle.model_sha256, campaigns, virtual=virtual)
     return evidence_of_runs(
-        runs.runs,
-        kind=runs.kind,
+        recorded.runs,
+        kind=recorded.kind,
         machine=version.machine,
         model_sha256=bundle.model_sha256,
         campaigns=campaigns,
         notes=notes,
-        told=runs.told,
+        told=recorded.told,
     )
 
 

@@ -49,13 +49,12 @@ def floor_um(problem: Problem) -> float:
 def weighed(
     terms: Sequence[Term], known: Sequence[Term], library: Candidates, problem: Problem
 ) -> Callable[[bool], Material]:
-    """Return what tells which effects are more than how far the laws of others are off, and their stand-ins, where laws are exact or not.
+    """Return a function of whether laws are exact: it gives the effects that are more than how far the laws of others are off, and their stand-ins.
 
     Every effect must explain a fiftieth, as RMS, of what all explain, and a twentieth of what those
     explain whose harmonics are its own; one of several shapes a twentieth of all, or where laws are exact a tenth
     of what all explain where it acts, or less where the error is so large beside the noise that laws are shown to be off by
-    far less. A stand-in, by the label of
-    the effect, is a simpler effect that loses no more in its place than laws are off.
+    far less. A stand-in, by the label of the effect, is a simpler effect that loses no more in its place than laws are off.
 
     ``library``: the candidates for what told the effects; ``problem``: the whole campaign.
     """
@@ -65,14 +64,14 @@ def weighed(
     return partial(_material, dictionary, dictionary.add(terms), floor_um(problem))
 
 
-def _material(dictionary: Dictionary, entries: list[Entry], floor_um: float, exact: bool) -> Material:
+def _material(dictionary: Dictionary, entries: list[Entry], noise_um: float, exact: bool) -> Material:
     if not entries:
         return [], {}
     obs = dictionary.candidates.obs
-    floor = (IMMATERIAL * floor_um) ** 2 * float(obs.mask.sum())
+    floor = (IMMATERIAL * noise_um) ** 2 * float(obs.mask.sum())
     whole = dictionary.explained(entries)
     # That laws are exact is shown to within the noise only.
-    in_noise = (_IN_NOISE * floor_um) ** 2 * float(obs.mask.sum())
+    in_noise = (_IN_NOISE * noise_um) ** 2 * float(obs.mask.sum())
     exact = exact and in_noise < _LEAST**2 * whole
     least_share, inexact, local_share = _LEAST, _INEXACT, _LOCAL
     if exact:

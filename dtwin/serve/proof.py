@@ -59,8 +59,8 @@ def with_vectors(bundle: Bundle, seed: int = 1) -> Bundle:
         )
     window_values: tuple[float, ...] = ()
     if bundle.window is not None:
-        made = batch_features(_test_window(bundle.window, seed), bundle.window)
-        window_values = tuple(made.values[0].reshape(-1).tolist())
+        batch = batch_features(_test_window(bundle.window, seed), bundle.window)
+        window_values = tuple(batch.values[0].reshape(-1).tolist())
     vectors = TestVectors(inputs, features, outputs, seed, window_values)
     band = bundle.band
     if band is not None:

@@ -147,16 +147,16 @@ def unit_findings(formula: Formula, units: Mapping[str, str]) -> list[str]:
 _FREE = "?"
 
 
-def _unit(formula: Formula, units: Mapping[str, str], of_arguments: list[str]) -> str:
+def _unit(formula: Formula, units: Mapping[str, str], faults: list[str]) -> str:
     if formula.op == "constant":
         return _FREE
     if formula.op == "input":
         return units.get(formula.name, _FREE)
-    parts = [_unit(arg, units, of_arguments) for arg in formula.args]
+    parts = [_unit(arg, units, faults) for arg in formula.args]
     if formula.op in ("add", "sub"):
         known = [p for p in parts if p != _FREE]
         if len(set(known)) > 1:
-            of_arguments.append(f"adds {known[0]} and {known[1]}")
+            faults.append(f"adds {known[0]} and {known[1]}")
         return known[0] if known else _FREE
     if formula.op in ("mul", "div"):
         return _FREE if _FREE in parts else f"({parts[0]}{'*' if formula.op == 'mul' else '/'}{parts[1]})"
@@ -165,5 +165,5 @@ def _unit(formula: Formula, units: Mapping[str, str], of_arguments: list[str]) -
     if formula.op in ("square", "sqrt"):
         return _FREE if parts[0] == _FREE else f"{formula.op}({parts[0]})"
     if parts[0] not in (_FREE, "1", "rad"):
-        of_arguments.append(f"{formula.op} of {parts[0]}")
+        faults.append(f"{formula.op} of {parts[0]}")
     return "1"

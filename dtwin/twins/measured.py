@@ -114,7 +114,7 @@ def load(home: Home, campaign: str) -> Loaded:
     """
     lake = Lake(home.lake)
     name = in_lake(home, campaign)
-    described = lake.campaign(name)
+    stored = lake.campaign(name)
     rows = lake.runs(name, left_out=True)
     left_out = {str(row["run_id"]): why for row in rows if (why := row["left_out"] or _error_in(row))}
     sound = [row for row in rows if str(row["run_id"]) not in left_out]
@@ -130,12 +130,12 @@ def load(home: Home, campaign: str) -> Loaded:
             got=why or "no runs",
             hint=f"dtwin check {name}",
         )
-    kind_named(described.kind).require("rows")
+    kind_named(stored.kind).require("rows")
     data = lake.provenance(usable, len(usable)) | {
         "left_out": left_out,
         "amended": [f.message for f in amendment_findings(rows) if f.code == AMENDED],
     }
-    obs, controller_um = _reduced(home, lake, described, usable)
+    obs, controller_um = _reduced(home, lake, stored, usable)
     return Loaded(_with_pitch(home, obs), data | {"wander_um": obs.wander_um}, controller_um)
 
 

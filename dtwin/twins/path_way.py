@@ -153,7 +153,7 @@ def _left(diagnosis: Diagnosis, whole: Twin, way: TwinWay) -> str:
     """Say what a diagnosis finds that is too little to object to, in each of the tests; empty without."""
     parts = whole.parts if isinstance(whole, SeveralTwin) else (whole,)
     tests = [t.found for t in diagnosis.tests] if isinstance(diagnosis, SeveralDiagnosis) else [diagnosis]
-    share = max(told.systematic_rms_um / part.figures["rms_before_um"] for told, part in zip(tests, parts, strict=True))
+    share = max(test.systematic_rms_um / part.figures["rms_before_um"] for test, part in zip(tests, parts, strict=True))
     if diagnosis.verdict not in _STRUCTURE or not share < way.little:
         return ""
     return (

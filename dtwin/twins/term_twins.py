@@ -269,8 +269,8 @@ class _TermMember(Member):
         if robust:
             raise InputError(f"{self.campaigns[0]} has no robust fit", code="twin.robust", hint=self._twins.no_robust)
         # Those of a twin are what all agreed on.
-        twin = self._twins.refound(self._loaded, terms)
-        return twin, self._twins.sizes(self._loaded, twin)
+        shaped = self._twins.refound(self._loaded, terms)
+        return shaped, self._twins.sizes(self._loaded, shaped)
 
     def sizes(self, fitted: tuple[Sequence[Any], Sizes]) -> Sizes:
         return fitted[1]

@@ -181,21 +181,22 @@ def joints_of(heads: Sequence[str], units: Sequence[str]) -> dict[int, str]:
 
     Of a quaternion, ``Q0`` to ``Q3`` or ``q1`` to ``q4``, there are none. ``units``: those in a row below the heads.
     """
-    joints = {n: match for n, head in enumerate(heads) if (match := _JOINT.fullmatch(head.strip())) is not None}
-    counted = sorted(int(match[1]) for match in joints.values())
+    matches = {n: match for n, head in enumerate(heads) if (match := _JOINT.fullmatch(head.strip())) is not None}
+    counted = sorted(int(match[1]) for match in matches.values())
     first = 0 if counted[:1] == [0] else 1
-    quaternion = len(joints) == 4 and all(match[0].lower().startswith("q") for match in joints.values())
+    quaternion = len(matches) == 4 and all(match[0].lower().startswith("q") for match in matches.values())
     fewest = _FEWEST if first else FEWEST_OF_ARM
-    if counted != list(range(first, first + len(joints))) or len(joints) < fewest or quaternion:
+    if counted != list(range(first, first + len(matches))) or len(matches) < fewest or quaternion:
         return {}
     told = {
-        n: (match["unit"] or (units[n] if n < len(units) else "")).strip("[]() ").lower() for n, match in joints.items()
+        n: (match["unit"] or (units[n] if n < len(units) else "")).strip("[]() ").lower()
+        for n, match in matches.items()
     }
     unit = {
         n: "rad" if t.startswith("rad") else "deg" if t.startswith(("deg", "\u00b0")) else NO_UNIT
         for n, t in told.items()
     }
-    return {n: f"joint_{int(match[1]) + 1 - first}_{unit[n]}" for n, match in joints.items()}
+    return {n: f"joint_{int(match[1]) + 1 - first}_{unit[n]}" for n, match in matches.items()}
 
 
 def places_of(heads: Sequence[str], units: Sequence[str]) -> dict[int, str]:

@@ -197,8 +197,8 @@ def _turning(reading: Reading, told: object, path: Path) -> list[Run]:
         if angle is None:
             speed = _speed(reading, told, path)
             _require_turn_seen(t, speed, path)
-            a, turned = nominal_angle(t, speed, x)
-            said.append(_no_angle(speed, turned))
+            a, taken_rpm = nominal_angle(t, speed, x)
+            said.append(_no_angle(speed, taken_rpm))
         else:
             inside_it = (t >= angle.t_s[0]) & (t <= angle.t_s[-1])
             if inside_it.sum() < 2:
@@ -275,12 +275,12 @@ def _require_turn_seen(t_s: Floats, rpm: float, path: Path) -> None:
         )
 
 
-def _no_angle(told: float, turned: float) -> Finding:
+def _no_angle(told: float, taken_rpm: float) -> Finding:
     said = (
-        f"no angle was read: it is computed from {told:g} rpm, taken as {turned:z.5g} rpm, at which the most repeats from turn to turn; angles mean "
+        f"no angle was read: it is computed from {told:g} rpm, taken as {taken_rpm:z.5g} rpm, at which the most repeats from turn to turn; angles mean "
         "nothing beyond this run, and what the speed varies by counts as asynchronous"
     )
-    return Finding("rotation.nominal", "warning", said, {"told_rpm": told, "found_rpm": turned})
+    return Finding("rotation.nominal", "warning", said, {"told_rpm": told, "found_rpm": taken_rpm})
 
 
 def _safe(name: str) -> str:
